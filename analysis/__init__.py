@@ -1,0 +1,1 @@
+"""What the pictures say about the medium: the paper's equations, as pure functions."""

@@ -1,0 +1,100 @@
+"""Forward pictures of every bounce for a range of g: the first of the paper's two steps.
+
+The fluence of a bounce depends smoothly on g, so it is solved at a few Chebyshev nodes and
+interpolated: a search over g costs no further solution of the transport equation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.light_field import Grid
+from analysis.medium import Beam, Medium, Phase
+from analysis.transport.beam import ballistic_fluence
+from analysis.transport.ordinates import fluence_of, march
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BounceTable:
+    """phi_k at Chebyshev nodes in g, for an albedo of one.
+
+    Attributes
+    ----------
+    g_nodes : (n_g,)
+    fluence : (n_g, K, n_y, n_x)
+    """
+
+    sigma_t_per_mm: float
+    phase: Phase
+    beam: Beam
+    grid: Grid
+    g_nodes: Array
+    fluence: Array
+
+    def at(self, g: float) -> Array:
+        """Return phi_1 .. phi_K at an asymmetry for an albedo of one, (K, n_y, n_x).
+
+        Barycentric interpolation on Chebyshev points of the first kind.
+        """
+        n = self.g_nodes.size
+        distance = g - self.g_nodes
+        if np.any(distance == 0.0):
+            return np.asarray(self.fluence[int(np.argmin(np.abs(distance)))])
+        j = np.arange(n)
+        weight = (-1.0) ** j * np.sin((2 * j + 1) * np.pi / (2 * n)) / distance
+        return np.tensordot(weight / weight.sum(), self.fluence, axes=1)
+
+    def multiple(self, g: float, albedo: float) -> Array:
+        """Return the multiple scattering sum_(k>=2) sigma_s^(k-1) I_k / c, (n_y, n_x) (Eq. 10)."""
+        pictures = self.at(g)
+        weights = albedo ** np.arange(1, pictures.shape[0])
+        return np.tensordot(weights, pictures[1:], axes=1)
+
+
+def tabulate(
+    sigma_t_per_mm: float,
+    beam: Beam,
+    grid: Grid,
+    *,
+    phase: Phase,
+    n_bounces: int,
+    g_range: tuple[float, float],
+    n_g: int,
+    progress: Callable[[int, int], None] | None = None,
+) -> BounceTable:
+    """Solve the bounces 1 .. n_bounces at n_g asymmetries; ``progress`` counts these.
+
+    Raises
+    ------
+    AnalysisError
+        As the solver does.
+    """
+    low, high = g_range
+    points = np.cos((2 * np.arange(n_g) + 1) * np.pi / (2 * n_g))
+    g_nodes = 0.5 * (low + high) + 0.5 * (high - low) * points
+    fluence = np.empty((n_g, n_bounces, grid.n_y, grid.n_x))
+    fluence[:, 0] = ballistic_fluence(
+        grid.x_mm, grid.y_mm, sigma_t_per_mm=sigma_t_per_mm, beam=beam
+    )
+    for row, g in zip(fluence, g_nodes, strict=True):
+        medium = Medium(
+            sigma_t_per_mm=sigma_t_per_mm, sigma_s_per_mm=sigma_t_per_mm, g=float(g), phase=phase
+        )
+        for k, radiance in enumerate(march(medium, beam, grid, n_bounces=n_bounces), start=1):
+            row[k] = fluence_of(radiance)
+        if progress is not None:
+            progress(int(np.flatnonzero(g_nodes == g)[0]) + 1, n_g)
+    return BounceTable(
+        sigma_t_per_mm=sigma_t_per_mm,
+        phase=phase,
+        beam=beam,
+        grid=grid,
+        g_nodes=g_nodes,
+        fluence=fluence,
+    )

@@ -1,0 +1,1 @@
+"""Counts turned into something a physicist trusts."""

@@ -1,0 +1,1 @@
+"""Speaks to hardware, real or simulated."""

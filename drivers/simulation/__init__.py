@@ -1,0 +1,1 @@
+"""The one world that all simulated devices share."""

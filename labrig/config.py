@@ -1,0 +1,525 @@
+"""YAML files as frozen, validated models: the one place that reads and writes YAML.
+
+Every file names its schema. Unknown keys are refused by name, with the nearest key that exists.
+"""
+
+from __future__ import annotations
+
+import difflib
+import typing
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from analysis.medium import Beam, Medium, Tank
+from calibration.model import CameraModel
+from labrig.errors import ConfigError
+
+Role = Literal["stripes", "white", "black", "ambient", "dark", "flat"]
+Positive = Annotated[float, Field(gt=0.0)]
+NonNegative = Annotated[float, Field(ge=0.0)]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True, strict=False
+    )
+
+
+# --- what any session tells the analysis -------------------------------------------------------
+
+
+class CameraConfig(_Model):
+    """What is known about the camera that took the pictures."""
+
+    bits: int = Field(ge=1, le=16)
+    black_level_dn: NonNegative
+    white_level_dn: Positive
+    gain_dn_per_e: Positive | None = Field(None, description="system gain; unknown if left out")
+    read_noise_e: Positive | None = Field(None, description="unknown if left out")
+    response: Literal["linear"] = "linear"
+
+    @model_validator(mode="after")
+    def _levels_fit(self) -> CameraConfig:
+        self.record()
+        return self
+
+    def record(self) -> CameraModel:
+        """Return the calibration's record of this camera."""
+        return CameraModel(
+            bits=self.bits,
+            black_level_dn=self.black_level_dn,
+            white_level_dn=self.white_level_dn,
+            gain_dn_per_e=self.gain_dn_per_e,
+            read_noise_e=self.read_noise_e,
+            response=self.response,
+        )
+
+
+class GeometryConfig(_Model):
+    """Where the sample lies in the picture."""
+
+    mm_per_px: Positive | None = Field(None, description="without it lengths are px and say so")
+    region_px: tuple[int, int, int, int] | None = Field(
+        None, description="x, y, width, height; begins at the entry face; else the whole picture"
+    )
+    lit_side: Literal["left", "right", "top", "bottom"] = "left"
+
+    @model_validator(mode="after")
+    def _region_has_area(self) -> GeometryConfig:
+        if self.region_px is not None and (min(self.region_px) < 0 or min(self.region_px[2:]) < 2):
+            msg = f"region_px {list(self.region_px)} is not x, y >= 0 and width, height >= 2"
+            raise ValueError(msg)
+        return self
+
+
+class TankConfig(_Model):
+    """Depth from the lit face and width along it."""
+
+    depth_mm: Positive
+    width_mm: Positive
+
+
+class BeamConfig(_Model):
+    """The lit part of the face, and the direction of the light inside the medium."""
+
+    from_mm: float
+    to_mm: float
+    angle_deg: float = 0.0
+
+    @model_validator(mode="after")
+    def _is_a_beam(self) -> BeamConfig:
+        self.record()
+        return self
+
+    def record(self) -> Beam:
+        """Return the analysis' record of this beam."""
+        return Beam(from_mm=self.from_mm, to_mm=self.to_mm, angle_deg=self.angle_deg)
+
+
+class StripesConfig(_Model):
+    """The stripes that were shown, in projector px."""
+
+    period_px: Positive = 12
+    duty: float = Field(0.5, gt=0.0, lt=1.0)
+    profile: Literal["square", "sinusoid"] = "square"
+
+
+class ProjectionConfig(_Model):
+    """Where a projector pixel falls in the tank: its phase is then known in every picture."""
+
+    mm_per_px: Positive
+    origin_mm: float = Field(description="tank y of the projector's first pixel edge")
+    blur_px: NonNegative = Field(0.0, description="standard deviation of its blur, projector px")
+
+
+class Setup(_Model):
+    """All that a session must tell the analysis beside its frames."""
+
+    camera: CameraConfig
+    geometry: GeometryConfig = GeometryConfig()
+    tank: TankConfig | None = Field(None, description="else the region")
+    beam: BeamConfig | None = Field(None, description="else measured from the white frame")
+    stripes: StripesConfig | None = None
+    projection: ProjectionConfig | None = Field(None, description="where it is calibrated")
+
+
+# --- rigs ---------------------------------------------------------------------------------------
+
+
+class SimulatedCameraConfig(CameraConfig):
+    """A camera of the simulated world."""
+
+    driver: Literal["simulated"]
+    rows: int = Field(960, ge=16, le=10000)
+    cols: int = Field(1280, ge=16, le=10000)
+    gain_dn_per_e: Positive
+    read_noise_e: Positive
+    readout_s: NonNegative = 0.02
+    seed: int = 1
+
+
+class SimulatedProjectorConfig(_Model):
+    """A projector of the simulated world."""
+
+    driver: Literal["simulated"]
+    rows: int = Field(720, ge=1, le=10000)
+    cols: int = Field(1280, ge=1, le=10000)
+    refresh_hz: Positive = 60.0
+    latency_s: NonNegative = 0.03
+    settle_s: NonNegative = 0.02
+    black_level: float = Field(0.0, ge=0.0, lt=1.0, description="light of black, share of white")
+
+
+class Rig(_Model):
+    """A rig: its devices, and where they look and shine."""
+
+    schema_: Literal["labrig-rig/1"] = Field(alias="schema")
+    name: str
+    camera: SimulatedCameraConfig
+    projector: SimulatedProjectorConfig
+    geometry: GeometryConfig
+    projection: ProjectionConfig
+
+
+# --- plans --------------------------------------------------------------------------------------
+
+
+class StripesPattern(_Model):
+    """Shifted stripes."""
+
+    kind: Literal["stripes"]
+    period_px: int = Field(12, ge=2)
+    shifts: int = Field(6, ge=2)
+    axis: Literal["x", "y"] = "x"
+    low: int = Field(0, ge=0, le=255)
+    high: int = Field(255, ge=0, le=255)
+
+    @model_validator(mode="after")
+    def _shifts_are_whole_pixels(self) -> StripesPattern:
+        if self.period_px % self.shifts:
+            msg = (
+                f"shifts = {self.shifts} does not divide period_px = {self.period_px}: stripes "
+                "would shift by a fraction of a pixel; choose a divisor of the period"
+            )
+            raise ValueError(msg)
+        if self.period_px % 2:
+            msg = f"period_px = {self.period_px} is odd: lit and dark could not be equally wide"
+            raise ValueError(msg)
+        if self.low >= self.high:
+            msg = f"low = {self.low} must be darker than high = {self.high}"
+            raise ValueError(msg)
+        return self
+
+
+class UniformPattern(_Model):
+    """The whole picture at one level."""
+
+    kind: Literal["uniform"]
+    level: int = Field(255, ge=0, le=255)
+
+
+class BlackPattern(_Model):
+    """The projector showing black; its leak remains."""
+
+    kind: Literal["black"]
+
+
+class OffPattern(_Model):
+    """The projector's lamp off or covered."""
+
+    kind: Literal["lamp-off"]
+
+
+Pattern = Annotated[
+    StripesPattern | UniformPattern | BlackPattern | OffPattern, Field(discriminator="kind")
+]
+
+
+class PlanSet(_Model):
+    """One pattern, or one series of shifts, taken at every exposure."""
+
+    id: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
+    pattern: Pattern
+    shutter: Literal["open", "covered"] = "open"
+    repeats: int = Field(1, ge=1)
+
+    @property
+    def role(self) -> Role:
+        """What the pictures serve for; it follows from pattern and shutter."""
+        if self.shutter == "covered":
+            return "dark"
+        roles: dict[str, Role] = {
+            "stripes": "stripes",
+            "uniform": "white",
+            "black": "black",
+            "lamp-off": "ambient",
+        }
+        return roles[self.pattern.kind]
+
+
+class Exposures(_Model):
+    """The bracket."""
+
+    bracket_s: tuple[Positive, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _all_different(self) -> Exposures:
+        if len(set(self.bracket_s)) < len(self.bracket_s):
+            msg = f"bracket_s {list(self.bracket_s)} names an exposure twice; use repeats instead"
+            raise ValueError(msg)
+        return self
+
+
+class Plan(_Model):
+    """What to capture."""
+
+    schema_: Literal["labrig-plan/1"] = Field(alias="schema")
+    name: str = Field(min_length=1)
+    exposures: Exposures
+    sets: tuple[PlanSet, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _ids_are_unique(self) -> Plan:
+        ids = [s.id for s in self.sets]
+        twice = sorted({i for i in ids if ids.count(i) > 1})
+        if twice:
+            msg = f"set id {twice[0]!r} is given twice"
+            raise ValueError(msg)
+        return self
+
+
+# --- scenes -------------------------------------------------------------------------------------
+
+
+class MediumConfig(_Model):
+    """The scattering liquid."""
+
+    sigma_t_per_mm: float
+    sigma_s_per_mm: float
+    g: float
+    phase: Literal["hg-plane", "hg-paper"] = "hg-plane"
+
+    @model_validator(mode="after")
+    def _is_physical(self) -> MediumConfig:
+        self.record()
+        return self
+
+    def record(self) -> Medium:
+        """Return the analysis' record of this medium."""
+        return Medium(
+            sigma_t_per_mm=self.sigma_t_per_mm,
+            sigma_s_per_mm=self.sigma_s_per_mm,
+            g=self.g,
+            phase=self.phase,
+        )
+
+
+class LightConfig(_Model):
+    """How bright it all is at the camera."""
+
+    peak_e_per_s: Positive = Field(1.0e5, description="single scattering at the entry face")
+    ambient_e_per_s: NonNegative = 0.0
+
+
+class TransportConfig(_Model):
+    """How the multiple scattering of a simulated scene is computed."""
+
+    method: Literal["montecarlo"] = "montecarlo"
+    n_paths: int = Field(3_000_000, ge=1000)
+    cell_mm: Positive = 0.5
+    seed: int = 1
+    tail: float = Field(1e-3, gt=0.0, lt=1.0, description="albedo^K at which bounces end")
+
+
+class Scene(_Model):
+    """What a simulated camera looks at."""
+
+    schema_: Literal["labrig-scene/1"] = Field(alias="schema")
+    name: str = "scene"
+    medium: MediumConfig
+    tank: TankConfig
+    beam: BeamConfig
+    light: LightConfig = LightConfig()
+    transport: TransportConfig = TransportConfig()
+
+    @model_validator(mode="after")
+    def _beam_enters(self) -> Scene:
+        self.beam.record().within(self.tank_record())
+        return self
+
+    def tank_record(self) -> Tank:
+        """Return the analysis' record of the tank."""
+        return Tank(depth_mm=self.tank.depth_mm, width_mm=self.tank.width_mm)
+
+
+# --- analyses -----------------------------------------------------------------------------------
+
+
+class Analysis(_Model):
+    """How a session is analysed."""
+
+    schema_: Literal["labrig-analysis/1"] = Field(alias="schema")
+    separation: Literal["auto", "extrema", "known-pattern", "harmonic"] = "auto"
+    phase: Literal["hg-plane", "hg-paper"] = "hg-plane"
+    cell_mm: Positive = Field(1.0, description="grid of the forward solver")
+    n_theta: int = Field(64, ge=8, multiple_of=4)
+    n_bounces: int = Field(12, ge=2, le=400)
+    g_range: tuple[float, float] = (-0.5, 0.8)
+    n_g: int = Field(9, ge=3, le=64, description="Chebyshev nodes in g")
+    depth_range_mm: tuple[float, float] | None = Field(None, description="of Eq. 9; else chosen")
+
+    @model_validator(mode="after")
+    def _ranges_are_ordered(self) -> Analysis:
+        low, high = self.g_range
+        if not -1.0 < low < high < 1.0:
+            msg = f"g_range {[low, high]} is not -1 < low < high < 1"
+            raise ValueError(msg)
+        if self.depth_range_mm is not None and not 0 <= self.depth_range_mm[0] < (
+            self.depth_range_mm[1]
+        ):
+            msg = f"depth_range_mm {list(self.depth_range_mm)} is not 0 <= from < to"
+            raise ValueError(msg)
+        return self
+
+
+# --- imports ------------------------------------------------------------------------------------
+
+
+class ImportFrame(_Model):
+    """One existing image file."""
+
+    file: str = Field(min_length=1)
+    role: Role
+    exposure_s: Positive
+    shift: int | None = Field(None, ge=0)
+    shifts: int | None = Field(None, ge=2)
+
+    @model_validator(mode="after")
+    def _stripes_name_their_shift(self) -> ImportFrame:
+        named = self.shift is not None and self.shifts is not None
+        if self.role == "stripes" and not named:
+            msg = f"{self.file}: role stripes needs shift and shifts"
+            raise ValueError(msg)
+        if self.role != "stripes" and (self.shift is not None or self.shifts is not None):
+            msg = f"{self.file}: only role stripes has shift and shifts, not {self.role}"
+            raise ValueError(msg)
+        if self.shift is not None and self.shifts is not None and self.shift >= self.shifts:
+            msg = f"{self.file}: shift {self.shift} is not below shifts {self.shifts}"
+            raise ValueError(msg)
+        return self
+
+
+class ImportManifest(Setup):
+    """Existing pictures that are to become a session."""
+
+    schema_: Literal["labrig-import/1"] = Field(alias="schema")
+    name: str = "import"
+    frames: tuple[ImportFrame, ...] = Field(min_length=1)
+
+
+SCHEMAS: dict[str, type[_Model]] = {
+    "plan": Plan,
+    "rig": Rig,
+    "scene": Scene,
+    "analysis": Analysis,
+    "import": ImportManifest,
+}
+
+M = TypeVar("M", bound=_Model)
+
+
+def load(path: Path, model: type[M]) -> M:
+    """Read a YAML file into a frozen model.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, is no YAML mapping, or does not fit the model; the message
+        names file and key.
+    """
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        msg = f"{path}: cannot be read ({reason}); give the path of a YAML file."
+        raise ConfigError(msg) from error
+    except (yaml.YAMLError, RecursionError) as error:
+        msg = f"{path}: is not valid YAML ({_one_line(str(error))})."
+        raise ConfigError(msg) from error
+    if not isinstance(content, dict):
+        found = "nothing" if content is None else type(content).__name__
+        msg = f"{path}: holds {found}, a mapping of keys was expected."
+        raise ConfigError(msg)
+    return parse(content, model, source=str(path))
+
+
+def parse(content: dict[str, Any], model: type[M], *, source: str) -> M:
+    """Validate a mapping; ``source`` names it in messages.
+
+    Raises
+    ------
+    ConfigError
+        For the first thing that does not fit, naming source and key.
+    """
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise ConfigError(_explain(error, model, source)) from error
+
+
+def json_schema(kind: str) -> dict[str, Any]:
+    """Return the JSON Schema of plan, rig, scene, analysis or import.
+
+    Raises
+    ------
+    ConfigError
+        If the kind is none of these.
+    """
+    if kind not in SCHEMAS:
+        msg = f"there is no schema {kind!r}; choose one of {', '.join(SCHEMAS)}."
+        raise ConfigError(msg)
+    return SCHEMAS[kind].model_json_schema(by_alias=True)
+
+
+def _explain(error: ValidationError, model: type[BaseModel], source: str) -> str:
+    """Return one line for the first error: an unknown key if there is one, it explains others."""
+    found = error.errors(include_url=False)
+    first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])
+    more = f" ({len(found) - 1} more)" if len(found) > 1 else ""
+    location = [part for part in first["loc"] if not _is_tag(part)]
+    key = ".".join(str(part) for part in location)
+    if first["type"] == "extra_forbidden":
+        known = _keys_at(model, list(first["loc"])[:-1])
+        near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.0)
+        hint = f"; did you mean {near[0]!r}?" if near else "."
+        return _one_line(f"{source}: key {key!r} is unknown{hint}{more}")
+    if first["type"] == "missing":
+        return _one_line(f"{source}: key {key!r} is missing.{more}")
+    message = str(first["msg"]).removeprefix("Value error, ")
+    shown = ""
+    if not isinstance(first["input"], dict | BaseModel):
+        shown = f" (found {first['input']!r})"
+    where = f"key {key!r}: " if key else ""
+    return _one_line(f"{source}: {where}{message}{shown}{more}")
+
+
+def _is_tag(part: str | int) -> bool:
+    """Tell the discriminator's own steps in a location from keys of the file."""
+    return part in {"stripes", "uniform", "black", "lamp-off"} and isinstance(part, str)
+
+
+def _keys_at(model: type[BaseModel], location: list[str | int]) -> list[str]:
+    """Return the keys known where an unknown one was found."""
+    here: list[type[BaseModel]] = [model]
+    for part in location:
+        if isinstance(part, int):
+            continue
+        fields = [
+            (f.alias or name, f.annotation)
+            for m in here
+            for name, f in m.model_fields.items()
+        ]
+        inner = [t for name, t in fields if name == part]
+        if inner:
+            here = [m for t in inner for m in _models_in(t)]
+        else:
+            here = [m for m in here if _kind_of(m) == part] or here
+    return [f.alias or name for m in here for name, f in m.model_fields.items()]
+
+
+def _kind_of(model: type[BaseModel]) -> str | None:
+    field = model.model_fields.get("kind")
+    return None if field is None else str(typing.get_args(field.annotation)[0])
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [m for inner in typing.get_args(annotation) for m in _models_in(inner)]
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())

@@ -1,0 +1,160 @@
+"""Makes a session of pictures taken elsewhere."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+from PIL import Image
+
+from labrig.config import ImportFrame, ImportManifest, Setup, load
+from labrig.errors import ConfigError
+from labrig.plan import Shot
+from labrig.session import SessionWriter
+
+
+def import_session(
+    manifest: Path,
+    out: Path,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Read the image files a manifest names and return the sealed session folder.
+
+    File names are relative to the manifest. PNG, TIFF and BMP of 8 or 16 bit, grey.
+
+    Raises
+    ------
+    ConfigError
+        If the manifest does not fit its schema, or an image is missing, damaged, coloured, of
+        another size, or brighter than the declared bits can hold.
+    """
+    wanted = load(manifest, ImportManifest)
+    shots = _shots(wanted.frames, manifest)
+    pictures = [_read(manifest, frame) for frame in wanted.frames]
+    _refuse_misfits(pictures, wanted, manifest)
+    setup = Setup.model_validate(
+        wanted.model_dump(include=set(Setup.model_fields)), from_attributes=False
+    )
+    header = {
+        "manifest": wanted.model_dump(mode="json", by_alias=True),
+        "setup": setup.model_dump(mode="json"),
+        "imported": True,
+        "simulated": False,
+        "shots": [asdict(shot) for shot in shots],
+    }
+    with SessionWriter.create(out, wanted.name, header) as session:
+        for number, (shot, frame, pixels) in enumerate(
+            zip(shots, wanted.frames, pictures, strict=True), start=1
+        ):
+            source = manifest.parent / frame.file
+            details = {
+                "source": frame.file,
+                "source_sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
+                "exposure_asked_s": frame.exposure_s,
+                "proof": "imported",
+            }
+            session.commit(shot.id, 1, pixels, details)
+            if progress is not None:
+                progress(number, len(shots))
+        session.close()
+    return session.path
+
+
+def _shots(frames: tuple[ImportFrame, ...], manifest: Path) -> list[Shot]:
+    """Return one shot a frame, named as a plan would name it."""
+    exposures = sorted({frame.exposure_s for frame in frames})
+    counts: dict[tuple[Any, ...], int] = {}
+    shots = []
+    for frame in frames:
+        bracket = exposures.index(frame.exposure_s)
+        kind = (frame.role, bracket, frame.shift)
+        repeat = counts.get(kind, 0)
+        counts[kind] = repeat + 1
+        group = f"{frame.role}-e{bracket}-r{repeat}"
+        shots.append(
+            Shot(
+                id=group if frame.shift is None else f"{group}-p{frame.shift:02d}",
+                set=frame.role,
+                role=frame.role,
+                group=group,
+                exposure_s=frame.exposure_s,
+                repeat=repeat,
+                shift=frame.shift,
+                shifts=frame.shifts,
+            )
+        )
+    counted = {frame.shifts for frame in frames if frame.role == "stripes"}
+    if len(counted) > 1:
+        msg = f"{manifest}: stripes of {sorted(map(str, counted))} shifts; give one series."
+        raise ConfigError(msg)
+    return shots
+
+
+def _read(manifest: Path, frame: ImportFrame) -> NDArray[np.uint16]:
+    """Return one grey picture; a damaged file is refused, never filled up."""
+    path = manifest.parent / frame.file
+    where = f"{manifest}: frame {frame.file}"
+    try:
+        picture = tifffile.imread(path) if path.suffix in {".tif", ".tiff"} else _read_by_pillow(path)
+    except FileNotFoundError as error:
+        msg = f"{where} does not exist; mend the path, which is relative to the manifest."
+        raise ConfigError(msg) from error
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        msg = f"{where} is no readable PNG, TIFF or BMP ({error}); is the file complete?"
+        raise ConfigError(" ".join(msg.split())) from error
+    if picture.ndim == 3 and picture.shape[2] in (2, 3, 4):
+        colours = picture[..., : 1 if picture.shape[2] == 2 else 3]
+        if (colours != colours[..., :1]).any():
+            msg = f"{where} is in colour; give the grey picture of one channel."
+            raise ConfigError(msg)
+        picture = colours[..., 0]
+    if picture.ndim != 2 or picture.dtype not in (np.uint8, np.uint16):
+        msg = (
+            f"{where} holds {picture.dtype} of shape {picture.shape}; one grey picture of 8 or "
+            "16 bit is wanted."
+        )
+        raise ConfigError(msg)
+    return np.ascontiguousarray(picture, dtype=np.uint16)
+
+
+def _read_by_pillow(path: Path) -> NDArray[Any]:
+    with Image.open(path) as image:
+        if image.mode == "P":  # the usual form of a grey BMP
+            return np.asarray(image.convert("RGB"))
+        return np.asarray(image)
+
+
+def _refuse_misfits(
+    pictures: list[NDArray[np.uint16]], wanted: ImportManifest, manifest: Path
+) -> None:
+    first = pictures[0].shape
+    bits = wanted.camera.bits
+    for frame, picture in zip(wanted.frames, pictures, strict=True):
+        if picture.shape != first:
+            msg = (
+                f"{manifest}: frame {frame.file} is {picture.shape[1]} x {picture.shape[0]} px, "
+                f"{wanted.frames[0].file} is {first[1]} x {first[0]}; all must be equal."
+            )
+            raise ConfigError(msg)
+        if int(picture.max()) >= 2**bits:
+            msg = (
+                f"{manifest}: frame {frame.file} holds {int(picture.max())} DN, more than "
+                f"camera.bits = {bits} can; declare the right bits (data are right-aligned)."
+            )
+            raise ConfigError(msg)
+    region = wanted.geometry.region_px
+    if region is not None and (
+        region[0] + region[2] > first[1] or region[1] + region[3] > first[0]
+    ):
+        msg = (
+            f"{manifest}: geometry.region_px {list(region)} leaves the picture of "
+            f"{first[1]} x {first[0]} px."
+        )
+        raise ConfigError(msg)

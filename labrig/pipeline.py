@@ -1,0 +1,91 @@
+"""From a session to its results: the straight way of the data, a line a step."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+from labrig.config import Analysis, Setup, parse
+from labrig.linearise import linearise, rectify
+from labrig.record import Outcome, fields_of, run_of
+from labrig.results import Result, read_results, write_results
+from labrig.session import Session
+from labrig.steps import attenuate, explain, render_bounces, separate
+
+Until = Literal["separation", "results"]
+
+
+class Stopwatch:
+    """Seconds by stage, told to whoever follows the progress."""
+
+    def __init__(self, follow: Callable[[str], None] | None) -> None:
+        self.seconds: dict[str, float] = {}
+        self._follow = follow
+        self._begun_s = time.perf_counter()
+        self._stage = ""
+
+    def start(self, stage: str) -> None:
+        """End the stage before and begin one."""
+        now_s = time.perf_counter()
+        if self._stage:
+            self.seconds[self._stage] = round(now_s - self._begun_s, 4)
+        self._stage, self._begun_s = stage, now_s
+        if self._follow is not None:
+            self._follow(stage)
+
+
+def analyse(
+    session_path: Path,
+    config: Analysis | None = None,
+    *,
+    until: Until = "results",
+    out: Path | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Result:
+    """Analyse a session; the results are also written to disk.
+
+    Parameters
+    ----------
+    until : "separation" stops there, for samples that are no scattering tank
+    out : folder for the results; else ``results/`` in the session
+    progress : called with the name of each stage as it begins
+
+    Raises
+    ------
+    SessionError, CalibrationError, AnalysisError, AnalysisRefusedError
+        Where no trustworthy answer exists; the message says why.
+    """
+    watch = Stopwatch(progress)
+    config = config or Analysis.model_validate({"schema": "labrig-analysis/1"})
+    session = Session.open(session_path)
+    setup = parse(session.header.get("setup"), Setup, source=f"{session_path}: setup")
+    decay = explained = None
+
+    watch.start("linearise")
+    radiances = linearise(session, setup)
+    watch.start("rectify")
+    pictures = rectify(radiances, session, setup)
+    watch.start("separate")
+    separated = separate(pictures, setup, config)
+    if until == "results":
+        watch.start("attenuate")
+        decay = attenuate(separated, pictures, setup, config)
+        watch.start("bounces")
+        table = render_bounces(decay, pictures, config)
+        watch.start("invert")
+        explained = explain(separated, decay, table, pictures)
+    watch.start("write")
+    outcome = Outcome(
+        session=session,
+        setup=setup,
+        config=config,
+        pictures=pictures,
+        separated=separated,
+        decay=decay,
+        explained=explained,
+        seconds=watch.seconds,
+    )
+    parent = out or session_path / "results"
+    return read_results(write_results(parent, run_of(outcome), *fields_of(outcome)))

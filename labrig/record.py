@@ -1,0 +1,330 @@
+"""What an analysis found, as the scalars of run.json and the arrays of fields.nc."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.attenuation import Attenuation
+from analysis.profile import DepthProfile
+from analysis.separation import closure
+from labrig.config import Analysis, Setup
+from labrig.linearise import Pictures
+from labrig.results import Field
+from labrig.session import Session
+from labrig.steps import Decay, Explained, Separated
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """All that a run of the pipeline found; the last two None if it stopped after separation."""
+
+    session: Session
+    setup: Setup
+    config: Analysis
+    pictures: Pictures
+    separated: Separated
+    decay: Decay | None
+    explained: Explained | None
+    seconds: Mapping[str, float]
+
+
+def run_of(outcome: Outcome) -> dict[str, Any]:
+    """Return run.json: parameters with standard deviations, quality, notes, provenance."""
+    header = outcome.session.header
+    notes = [*outcome.pictures.notes, *outcome.separated.notes]
+    parameters: dict[str, Any] = {}
+    alternatives: dict[str, Any] = {}
+    if outcome.decay is not None and outcome.explained is not None:
+        unit = outcome.pictures.unit
+        notes += [*outcome.decay.notes, *outcome.explained.notes]
+        parameters = _parameters(outcome.decay.attenuation, outcome.explained, unit)
+        alternatives = {
+            name: _decay_of(fit, unit)
+            for name, fit in (
+                ("extrema", outcome.decay.by_extrema),
+                ("unseparated", outcome.decay.unseparated),
+            )
+            if fit is not None
+        }
+    return {
+        "session": {
+            "id": header.get("id", outcome.session.path.name),
+            "path": str(outcome.session.path),
+            "simulated": bool(header.get("simulated", False)),
+            "sealed": outcome.session.sealed,
+        },
+        **parameters,
+        "uncertainty": "std is statistical: camera noise carried through the fits. It does not "
+        "hold the bias of the method (low orders that keep the stripes stay in the single image).",
+        "length_unit": outcome.pictures.unit,
+        "model": {"geometry": "flatland", "phase": outcome.config.phase},
+        "method": {
+            "separation": outcome.separated.best.method,
+            "attenuation": "Eq. 9, weighted least squares",
+            "inversion": "Eq. 10, least squares on the solver's nodes",
+        },
+        "alternatives": alternatives,
+        "quality": _quality(outcome),
+        "notes": notes,
+        "seconds": dict(outcome.seconds),
+        "provenance": _provenance(outcome),
+    }
+
+
+def fields_of(outcome: Outcome) -> tuple[dict[str, Field], dict[str, Any]]:
+    """Return the arrays of fields.nc and its attributes.
+
+    Pictures in full resolution lie on (row, col); what the solver made, and the separated
+    pictures averaged to its nodes, on (y, x). A run that stopped after separation has no solver's
+    grid: (y, x) are then the pixels.
+    """
+    if outcome.decay is None or outcome.explained is None:
+        return _pictures(outcome, ("y", "x"), suffix=""), {"length_unit": outcome.pictures.unit}
+    fields = {
+        **_pictures(outcome, ("row", "col"), suffix="_image"),
+        **_profiles(outcome.decay, outcome.pictures.unit),
+        **_bounces(outcome, outcome.explained),
+    }
+    return fields, {
+        "length_unit": outcome.pictures.unit,
+        "scale_c": outcome.decay.attenuation.scale_c,
+        "scale_c_unit": "counts/s; turns fluence into camera units",
+        "beam_angle_rad": math.radians(outcome.decay.beam.angle_deg),
+        "beam_from": outcome.decay.beam.from_mm,
+        "beam_to": outcome.decay.beam.to_mm,
+        "geometry": "flatland",
+        "phase": outcome.config.phase,
+    }
+
+
+def _parameters(fit: Attenuation, explained: Explained, unit: str) -> dict[str, Any]:
+    found = explained.inversion
+    return {
+        **_decay_of(fit, unit),
+        f"sigma_s_per_{unit}": _with_std(found.sigma_s_per_mm, found.covariance[0, 0]),
+        "g": _with_std(found.g, found.covariance[1, 1]),
+    }
+
+
+def _decay_of(fit: Attenuation, unit: str) -> dict[str, Any]:
+    return {
+        f"sigma_t_per_{unit}": _with_std(fit.sigma_t_per_mm, fit.covariance[1, 1]),
+        "scale_c": _with_std(fit.scale_c, fit.covariance[0, 0]),
+    }
+
+
+def _with_std(value: float, variance: float) -> dict[str, float | None]:
+    return {"value": value, "std": math.sqrt(variance) if math.isfinite(variance) else None}
+
+
+def _quality(outcome: Outcome) -> dict[str, Any]:
+    pictures, best = outcome.pictures, outcome.separated.best
+    found: dict[str, Any] = {
+        "saturated_fraction": pictures.saturated_fraction,
+        "detected_fraction": float(np.mean(best.detected)),
+        "direct_share_median": _median(
+            best.single / np.where(best.single + best.multiple > 0, best.single + best.multiple, np.nan)
+        ),
+    }
+    if pictures.white is not None:
+        gap = closure(best, pictures.white)[_bright(pictures.white)]
+        low, middle, high = np.nanpercentile(gap, [16, 50, 84]) if gap.size else (np.nan,) * 3
+        found["closure"] = {
+            "mean": _finite(np.nanmean(gap)),
+            "median": _finite(middle),
+            "p16": _finite(low),
+            "p84": _finite(high),
+        }
+        if pictures.stripes.shape[0] == 2 and pictures.black is not None:
+            found["additivity"] = _additivity(pictures)
+    if outcome.decay is not None and outcome.explained is not None:
+        fit, other = outcome.decay.attenuation, outcome.decay.unseparated
+        found["attenuation"] = _fit_quality(fit)
+        if other is not None:
+            found["attenuation_unseparated"] = _fit_quality(other)
+        inversion = outcome.explained.inversion
+        found["inversion"] = {
+            "rms_relative": inversion.rms_relative,
+            "last_bounce_share": inversion.last_bounce_share,
+            "at_limit": inversion.at_limit,
+            "covariance": np.where(
+                np.isfinite(inversion.covariance), inversion.covariance, 0.0
+            ).tolist()
+            if np.isfinite(inversion.covariance).all()
+            else None,
+        }
+    return found
+
+
+def _fit_quality(fit: Attenuation) -> dict[str, Any]:
+    return {
+        "chi2_per_dof": fit.chi2_per_dof,
+        "rms_relative": fit.rms_relative,
+        "depth_range": list(fit.depth_range_mm),
+    }
+
+
+def _additivity(pictures: Pictures) -> float | None:
+    """Return the mean of (pattern + inverse)/(white + black) - 1, black not subtracted."""
+    if pictures.white is None or pictures.black is None:
+        return None
+    together = pictures.stripes.sum(axis=0) + 2.0 * pictures.black
+    both = pictures.white + 2.0 * pictures.black
+    bright = _bright(pictures.white)
+    return _finite(np.nanmean(together[bright] / both[bright] - 1.0))
+
+
+def _bright(white: Array) -> NDArray[np.bool_]:
+    """Return where closure means something: the white light above 5 percent of its brightest."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(white > 0.05 * np.nanpercentile(white, 99.5))
+
+
+def _median(values: Array) -> float | None:
+    return _finite(np.nanmedian(values)) if np.isfinite(values).any() else None
+
+
+def _finite(value: Any) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _pictures(outcome: Outcome, dims: tuple[str, str], *, suffix: str) -> dict[str, Field]:
+    pictures, best = outcome.pictures, outcome.separated.best
+    unit = "counts/s"
+    rows, cols = best.single.shape
+    fields = {
+        dims[0]: _axis(dims[0], (np.arange(rows) + 0.5) * pictures.pixel, pictures.unit),
+        dims[1]: _axis(dims[1], (np.arange(cols) + 0.5) * pictures.pixel, pictures.unit),
+    }
+    wanted = {
+        "captured": (pictures.captured, "first stripe picture, dark level subtracted"),
+        "single": (best.single, "single scattering I_1"),
+        "multiple": (best.multiple, "multiple scattering I_M"),
+        "single_variance": (best.single_variance, "variance of single"),
+        "multiple_variance": (best.multiple_variance, "variance of multiple"),
+    }
+    if pictures.white is not None:
+        wanted["white"] = (pictures.white, "white picture less black")
+    for name, (values, meaning) in wanted.items():
+        of = f"({unit})^2" if name.endswith("variance") else unit
+        key = f"{name}{suffix}"
+        fields[key] = Field(dims=dims, values=values.astype(np.float32), unit=of, meaning=meaning)
+    if pictures.white is not None:
+        gap = np.where(_bright(pictures.white), closure(best, pictures.white), np.nan)
+        fields[f"closure{suffix}"] = Field(
+            dims=dims,
+            values=gap.astype(np.float32),
+            unit="1",
+            meaning="(single + multiple)/white - 1 where white is above 5 % of its brightest",
+        )
+    return fields
+
+
+def _profiles(decay: Decay, unit: str) -> dict[str, Field]:
+    fields: dict[str, Field] = {}
+    profiles: list[tuple[str, DepthProfile | None, Attenuation | None]] = [
+        ("single", decay.single, decay.attenuation),
+        ("white", decay.white, decay.unseparated),
+    ]
+    for name, profile, fit in profiles:
+        if profile is None:
+            continue
+        depth = f"{name}_depth"
+        nothing = np.full(profile.value.size, np.nan)
+        fields[depth] = _axis(depth, profile.depth_mm, unit)
+        for what, values in (
+            ("profile", profile.value),
+            ("profile_std", profile.std),
+            ("profile_fit", nothing if fit is None else fit.at(profile.depth_mm)),
+        ):
+            fields[f"{name}_{what}"] = Field(
+                dims=(depth,),
+                values=values,
+                unit="counts/s",
+                meaning=f"{name} light across the beam, {what}",
+            )
+    return fields
+
+
+def _bounces(outcome: Outcome, explained: Explained) -> dict[str, Field]:
+    field, grid = explained.bounces, explained.bounces.grid
+    unit = outcome.pictures.unit
+    single, _ = grid.average(outcome.separated.best.single, outcome.pictures.pixel)
+    n = field.n_bounces
+    return {
+        "x": _axis("x", grid.x_mm, unit),
+        "y": _axis("y", grid.y_mm, unit),
+        "theta": _axis("theta", grid.theta_rad, "rad"),
+        "bounce": _axis("bounce", np.arange(1, n + 1), "1"),
+        "scattered_bounce": _axis("scattered_bounce", np.arange(2, n + 1), "1"),
+        "single": Field(
+            dims=("y", "x"), values=single, unit="counts/s", meaning="I_1 averaged to the nodes"
+        ),
+        "multiple": Field(
+            dims=("y", "x"),
+            values=explained.multiple,
+            unit="counts/s",
+            meaning="I_M averaged to the nodes",
+        ),
+        "residual": Field(
+            dims=("y", "x"),
+            values=explained.inversion.residual,
+            unit="counts/s",
+            meaning="multiple less its model (Eq. 10)",
+        ),
+        "fluence": Field(
+            dims=("bounce", "y", "x"),
+            values=field.fluence,
+            unit="1",
+            meaning="phi_k, one where the beam enters; times scale_c: the picture of bounce k",
+        ),
+        "light_field": Field(
+            dims=("scattered_bounce", "y", "x", "theta"),
+            values=field.light_field.astype(np.float32),
+            unit="1/rad",
+            meaning="L_k, radiance per radian of bounces 2 .. K",
+        ),
+    }
+
+
+def _axis(name: str, values: NDArray[Any], unit: str) -> Field:
+    return Field(dims=(name,), values=values, unit=unit, meaning=f"coordinate {name}")
+
+
+def _provenance(outcome: Outcome) -> dict[str, Any]:
+    packages = ("labrig", "numpy", "scipy", "numba", "h5netcdf", "tifffile")
+    header = outcome.session.header
+    return {
+        "config": outcome.config.model_dump(mode="json", by_alias=True),
+        "setup": outcome.setup.model_dump(mode="json"),
+        "software": {"python": platform.python_version(), **{p: version(p) for p in packages}},
+        "code_sha256": code_digest(),
+        "session_header_sha256": hashlib.sha256(
+            (outcome.session.path / "session.json").read_bytes()
+        ).hexdigest(),
+        "devices": header.get("devices"),
+        "calibration": header.get("calibration"),
+    }
+
+
+def code_digest() -> str:
+    """Return the SHA-256 of the program's own source files, so that a result names its code."""
+    found = hashlib.sha256()
+    here = Path(__file__).parent
+    for package in ("analysis", "calibration", "drivers", "labrig"):
+        for path in sorted((here.parent / package).rglob("*.py")):
+            found.update(path.relative_to(here.parent).as_posix().encode())
+            found.update(path.read_bytes())
+    return found.hexdigest()

@@ -1,0 +1,108 @@
+"""The tank's answer to stripes and to white light, by Monte Carlo, kept on disk.
+
+Light is linear, and stripes of one period are a sum of a few harmonics: one run of the Monte
+Carlo serves every shift, every exposure and every repeat of a plan.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from analysis.transport.montecarlo import SampledField, simulate
+from labrig.config import Scene
+
+VERSION = 1  # of the kept files; raise it when the Monte Carlo changes its answer
+HARMONICS = (1, 3)  # of a square wave after a projector's blur; the fifth is below 0.2 percent
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TankResponse:
+    """Scattered light of a scene: per bounce under white light, and per harmonic of the stripes."""
+
+    field: SampledField
+    n_bounces: int
+    from_cache: bool
+
+
+def bounces_needed(albedo: float, tail: float) -> int:
+    """Return K with albedo^K below ``tail``: later bounces hold less than that share of light."""
+    if albedo <= 0.0:
+        return 2
+    if albedo >= 1.0:
+        return 400
+    return min(400, max(2, math.ceil(math.log(tail) / math.log(albedo))))
+
+
+def tank_response(
+    scene: Scene,
+    *,
+    period_mm: float,
+    progress: Callable[[int, int], None] | None = None,
+) -> TankResponse:
+    """Return the response of a scene's tank to stripes of a period along y.
+
+    Computed once for a medium, tank, beam and period, then read from the cache folder.
+    """
+    n_bounces = bounces_needed(scene.medium.record().albedo, scene.transport.tail)
+    question = {
+        "version": VERSION,
+        "medium": scene.medium.model_dump(),
+        "tank": scene.tank.model_dump(),
+        "beam": scene.beam.model_dump(),
+        "transport": scene.transport.model_dump(),
+        "period_mm": period_mm,
+        "harmonics": HARMONICS,
+    }
+    key = hashlib.sha256(json.dumps(question, sort_keys=True).encode()).hexdigest()[:24]
+    kept = cache_folder() / f"response-{key}.npz"
+    if kept.is_file():
+        found = _read(kept)
+        if found is not None:
+            return TankResponse(field=found, n_bounces=n_bounces, from_cache=True)
+    sampled = simulate(
+        scene.medium.record(),
+        scene.tank_record(),
+        scene.beam.record(),
+        n_bounces=n_bounces,
+        n_paths=scene.transport.n_paths,
+        cell_mm=scene.transport.cell_mm,
+        seed=scene.transport.seed,
+        stripe_wavenumber_per_mm=2.0 * math.pi / period_mm,
+        harmonics=HARMONICS,
+        n_threads=os.cpu_count() or 1,
+        progress=progress,
+    )
+    _write(kept, sampled)
+    return TankResponse(field=sampled, n_bounces=n_bounces, from_cache=False)
+
+
+def cache_folder() -> Path:
+    """Return where computed responses are kept; everything in it can be deleted."""
+    root = os.environ.get("LABRIG_CACHE") or os.environ.get("XDG_CACHE_HOME")
+    base = Path(root) if root else Path.home() / ".cache"
+    return base / "labrig"
+
+
+def _read(path: Path) -> SampledField | None:
+    """Return what was kept, None if the file is damaged: it is only a cache."""
+    try:
+        with np.load(path, allow_pickle=False) as kept:
+            return SampledField(**{f.name: kept[f.name] for f in fields(SampledField)})
+    except (OSError, ValueError, KeyError, EOFError):
+        return None
+
+
+def _write(path: Path, sampled: SampledField) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
+        np.savez(part, **{f.name: getattr(sampled, f.name) for f in fields(SampledField)})
+    Path(part.name).replace(path)

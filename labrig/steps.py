@@ -1,0 +1,261 @@
+"""The steps of an analysis: each takes what the one before returned, and knows the session's setup.
+
+The equations are in `analysis`; here stands what a session allows, and what must be said of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.attenuation import Attenuation, fit_attenuation
+from analysis.bounces import BounceTable, tabulate
+from analysis.errors import AnalysisError
+from analysis.inversion import Inversion, invert
+from analysis.light_field import BounceField, Grid
+from analysis.medium import Beam, Medium, Tank
+from analysis.profile import DepthProfile, depth_profile, measure_beam
+from analysis.separation import (
+    Separation,
+    separate_extrema,
+    separate_harmonic,
+    separate_known,
+    square_contrast,
+)
+from analysis.transport.ordinates import solve
+from calibration.projector import stripe_light
+from labrig.config import Analysis, Setup, StripesConfig
+from labrig.errors import AnalysisRefusedError
+from labrig.linearise import Pictures
+
+Array = NDArray[np.float64]
+
+MAX_RADIANCES = 60_000_000  # nodes x angles: half a gigabyte an array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Separated:
+    """Single and multiple scattering by the best estimator the session allows, and by Eqs. 7, 8."""
+
+    best: Separation
+    extrema: Separation
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Decay:
+    """Light along the beam, and the fits of Eq. 9; None where the data hold no such fit.
+
+    ``attenuation`` is of the single scattering, ``by_extrema`` of Eq. 7's, ``unseparated`` of the
+    white light.
+    """
+
+    tank: Tank
+    beam: Beam
+    single: DepthProfile
+    white: DepthProfile | None
+    attenuation: Attenuation
+    by_extrema: Attenuation | None
+    unseparated: Attenuation | None
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Explained:
+    """The medium whose bounces explain the multiple scattering, and these bounces."""
+
+    inversion: Inversion
+    multiple: Array
+    bounces: BounceField
+    notes: tuple[str, ...]
+
+
+def separate(pictures: Pictures, setup: Setup, config: Analysis) -> Separated:
+    """Tell single from multiple scattering (Eqs. 7, 8).
+
+    Raises
+    ------
+    AnalysisError, AnalysisRefusedError
+        If the estimator asked for does not suit the pictures.
+    """
+    stripes = setup.stripes or StripesConfig()
+    net, variance = pictures.stripes, pictures.stripes_variance
+    known = setup.projection is not None and stripes.profile == "square"
+    method = config.separation
+    if method == "auto":
+        method = "known-pattern" if known else "harmonic" if net.shape[0] >= 4 else "extrema"
+    extrema = separate_extrema(net, variance, stripes.duty)
+    if method == "known-pattern":
+        if not known:
+            msg = "separation known-pattern needs square stripes and a calibrated projection."
+            raise AnalysisRefusedError(msg)
+        best = separate_known(net, variance, _pattern(setup, pictures), stripes.duty)
+        return Separated(best=best, extrema=extrema, notes=())
+    if method == "harmonic":
+        contrast = 0.5 if stripes.profile == "sinusoid" else square_contrast(stripes.duty)
+        best = separate_harmonic(net, variance, contrast=contrast, duty=stripes.duty)
+        note = "The stripes' contrast was not calibrated: blur makes single scattering too small."
+        return Separated(best=best, extrema=extrema, notes=(note,))
+    note = "Separated by extremes over the shifts: noise and blur are not corrected."
+    return Separated(best=extrema, extrema=extrema, notes=(note,))
+
+
+def attenuate(
+    separated: Separated, pictures: Pictures, setup: Setup, config: Analysis
+) -> Decay:
+    """Fit the decay of single scattering, and of the light without separation (Eq. 9, Fig. 11).
+
+    Raises
+    ------
+    AnalysisError
+        If single scattering gives no signal, or does not decay.
+    """
+    rows, cols = separated.best.single.shape
+    tank = Tank(depth_mm=cols * pictures.pixel, width_mm=rows * pictures.pixel)
+    if setup.tank:
+        tank = Tank(depth_mm=setup.tank.depth_mm, width_mm=setup.tank.width_mm)
+    beam, notes = _beam(pictures, setup)
+    beam = beam.within(tank)
+    margin = max(_period(setup), 0.05 * (beam.to_mm - beam.from_mm))
+
+    def profile(picture: Array, variance: Array) -> DepthProfile:
+        return depth_profile(picture, variance, pictures.pixel, beam, margin_mm=margin)
+
+    def fit(of: DepthProfile) -> Attenuation:
+        return fit_attenuation(of, config.depth_range_mm)
+
+    single = profile(separated.best.single, separated.best.single_variance)
+    extrema = profile(separated.extrema.single, separated.extrema.single_variance)
+    white = None
+    if pictures.white is not None and pictures.white_variance is not None:
+        white = profile(pictures.white, pictures.white_variance)
+    return Decay(
+        tank=tank,
+        beam=beam,
+        single=single,
+        white=white,
+        attenuation=fit(single),
+        by_extrema=_if_any(lambda: fit(extrema)),
+        unseparated=None if white is None else _if_any(lambda: fit(white)),
+        notes=notes,
+    )
+
+
+def render_bounces(decay: Decay, pictures: Pictures, config: Analysis) -> BounceTable:
+    """Render every bounce for a range of g: L_1 analytic, L_2 closed, then recursively (Eq. 4).
+
+    Raises
+    ------
+    AnalysisRefusedError
+        If the grid would not fit in memory.
+    AnalysisError
+        If the angles cannot resolve the range of g.
+    """
+    cell = config.cell_mm if pictures.unit == "mm" else decay.tank.depth_mm / 100.0
+    grid = Grid.covering(decay.tank, cell_mm=cell, n_theta=config.n_theta)
+    if grid.n_x * grid.n_y * grid.n_theta > MAX_RADIANCES:
+        msg = (
+            f"a grid of {grid.n_y} x {grid.n_x} nodes and {grid.n_theta} angles holds more than "
+            f"{MAX_RADIANCES / 1e6:.0f} million radiances; choose a larger cell_mm."
+        )
+        raise AnalysisRefusedError(msg)
+    return tabulate(
+        decay.attenuation.sigma_t_per_mm,
+        decay.beam,
+        grid,
+        phase=config.phase,
+        n_bounces=config.n_bounces,
+        g_range=config.g_range,
+        n_g=config.n_g,
+    )
+
+
+def explain(
+    separated: Separated, decay: Decay, table: BounceTable, pictures: Pictures
+) -> Explained:
+    """Find sigma_s and g whose bounces explain the multiple scattering (Eqs. 10, 11).
+
+    Raises
+    ------
+    AnalysisError
+        If there is no multiple scattering to explain.
+    """
+    grid = table.grid
+    multiple, count = grid.average(separated.best.multiple, pictures.pixel)
+    variance, _ = grid.average(separated.best.multiple_variance, pictures.pixel)
+    found = invert(multiple, variance / np.maximum(count, 1.0), decay.attenuation, table)
+    medium = Medium(
+        sigma_t_per_mm=decay.attenuation.sigma_t_per_mm,
+        sigma_s_per_mm=found.sigma_s_per_mm,
+        g=found.g,
+        phase=table.phase,
+    )
+    n_bounces = table.fluence.shape[1]
+    notes = []
+    if found.at_limit:
+        notes.append(
+            "The fit of sigma_s and g stopped at the end of its range: they are not determined."
+        )
+    if found.last_bounce_share > 0.01:
+        notes.append(
+            f"Bounce {n_bounces} still holds {100 * found.last_bounce_share:.1f} % of the "
+            "multiple scattering: raise n_bounces."
+        )
+    return Explained(
+        inversion=found,
+        multiple=multiple,
+        bounces=solve(medium, decay.beam, grid, n_bounces=n_bounces),
+        notes=tuple(notes),
+    )
+
+
+def _beam(pictures: Pictures, setup: Setup) -> tuple[Beam, tuple[str, ...]]:
+    if setup.beam:
+        return setup.beam.record(), ()
+    lit = pictures.stripes.mean(axis=0) if pictures.white is None else pictures.white
+    beam = measure_beam(lit, pictures.pixel)
+    note = (
+        f"The beam was measured from the picture: {beam.from_mm:.4g} to {beam.to_mm:.4g} "
+        f"{pictures.unit}, taken to enter straight (0 degrees)."
+    )
+    return beam, (note,)
+
+
+def _pattern(setup: Setup, pictures: Pictures) -> Array:
+    """Return the light of each stripe picture where it falls in the tank, (n, rows, 1 or cols)."""
+    projection, stripes = setup.projection, setup.stripes or StripesConfig()
+    if projection is None:
+        msg = "the pattern is known only where the projection is calibrated."
+        raise AnalysisRefusedError(msg)
+    n_shifts, rows, cols = pictures.stripes.shape
+    slope = math.tan(math.radians(setup.beam.angle_deg)) if setup.beam else 0.0
+    y = (np.arange(rows) + 0.5) * pictures.pixel
+    x = (np.arange(cols) + 0.5) * pictures.pixel if slope else np.zeros(1)
+    entry = y[:, None] - x[None, :] * slope
+    return stripe_light(
+        (entry - projection.origin_mm) / projection.mm_per_px,
+        period_px=stripes.period_px,
+        duty=stripes.duty,
+        n_shifts=n_shifts,
+        blur_px=projection.blur_px,
+        pixel_px=pictures.pixel / projection.mm_per_px,
+    )
+
+
+def _period(setup: Setup) -> float:
+    """Return the stripes' period in the tank, mm; zero where it is unknown."""
+    if setup.projection is None or setup.stripes is None:
+        return 0.0
+    return setup.stripes.period_px * setup.projection.mm_per_px
+
+
+def _if_any(fit: Callable[[], Attenuation]) -> Attenuation | None:
+    """Return a fit that only stands beside the main one; None where there is none."""
+    try:
+        return fit()
+    except AnalysisError:
+        return None
