@@ -62,7 +62,7 @@ def fit_attenuation(
 
     def residual(parameters: Array) -> Array:
         log_c, sigma_t = parameters
-        return (np.exp(log_c - sigma_t * depth) - value) / std
+        return np.asarray((np.exp(log_c - sigma_t * depth) - value) / std)
 
     def jacobian(parameters: Array) -> Array:
         log_c, sigma_t = parameters

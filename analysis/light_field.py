@@ -53,12 +53,12 @@ class Grid:
     @property
     def x_mm(self) -> Array:
         """Depth of the nodes, (n_x,)."""
-        return np.linspace(0.0, self.tank.depth_mm, self.n_x)
+        return np.linspace(0.0, self.tank.depth_mm, self.n_x, dtype=np.float64)
 
     @property
     def y_mm(self) -> Array:
         """Height of the nodes along the lit face, (n_y,)."""
-        return np.linspace(0.0, self.tank.width_mm, self.n_y)
+        return np.linspace(0.0, self.tank.width_mm, self.n_y, dtype=np.float64)
 
     @property
     def theta_rad(self) -> Array:
@@ -70,22 +70,25 @@ class Grid:
 
         The picture (rows, cols) begins at the corner of the tank. NaN where no pixel is finite.
         """
-        row = _nearest((np.arange(picture.shape[0]) + 0.5) * pixel_mm, self.y_mm)
-        col = _nearest((np.arange(picture.shape[1]) + 0.5) * pixel_mm, self.x_mm)
+        rows, cols = picture.shape
+        row = _nearest(np.asarray((np.arange(rows) + 0.5) * pixel_mm), self.y_mm)
+        col = _nearest(np.asarray((np.arange(cols) + 0.5) * pixel_mm), self.x_mm)
         cell = (row[:, None] * self.n_x + col[None, :]).ravel()
         finite = np.isfinite(picture).ravel()
-        count = np.bincount(cell, finite, minlength=self.n_y * self.n_x)
+        count = np.bincount(cell, finite.astype(np.float64), minlength=self.n_y * self.n_x)
         total = np.bincount(
             cell, np.where(finite, picture.ravel(), 0.0), minlength=self.n_y * self.n_x
         )
         with np.errstate(invalid="ignore", divide="ignore"):
-            mean = total / count
-        return mean.reshape(self.n_y, self.n_x), count.reshape(self.n_y, self.n_x)
+            mean = np.asarray(total / count, dtype=np.float64)
+        shape = (self.n_y, self.n_x)
+        return mean.reshape(shape), np.asarray(count, dtype=np.float64).reshape(shape)
 
 
 def _nearest(position: Array, nodes: Array) -> NDArray[np.int64]:
     pitch = nodes[1] - nodes[0]
-    return np.clip(np.floor(position / pitch + 0.5).astype(np.int64), 0, nodes.size - 1)
+    nearest = np.floor(position / pitch + 0.5).astype(np.int64)
+    return np.asarray(np.clip(nearest, 0, nodes.size - 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -30,7 +30,7 @@ class Medium:
     Raises
     ------
     AnalysisError
-        If a coefficient is not finite or negative, sigma_s exceeds sigma_t, or \\|g\\| >= 1.
+        If a coefficient is not finite or negative, sigma_s exceeds sigma_t, or g is no cosine.
     """
 
     sigma_t_per_mm: float

@@ -62,7 +62,7 @@ def separate_extrema(net: Array, variance: Array, duty: float = 0.5) -> Separati
     var_low = np.take_along_axis(variance, low, axis=0)[0]
     return _separation(
         "extrema",
-        np.isfinite(net).all(axis=0),
+        np.asarray(np.isfinite(net).all(axis=0)),
         (brightest - darkest, darkest / duty),
         (var_high + var_low, var_low / duty**2),
     )
@@ -100,7 +100,7 @@ def separate_known(net: Array, variance: Array, pattern: Array, duty: float = 0.
     multiple = (offset_weights * net).sum(axis=0) / duty
     return _separation(
         "known-pattern",
-        np.isfinite(net).all(axis=0) & usable,
+        np.asarray(np.isfinite(net).all(axis=0) & usable),
         (single, multiple),
         (
             (weights**2 * variance).sum(axis=0),
@@ -144,7 +144,7 @@ def separate_harmonic(net: Array, variance: Array, *, contrast: float, duty: flo
     mean_variance = variance.sum(axis=0) / n**2
     return _separation(
         "harmonic",
-        np.isfinite(net).all(axis=0),
+        np.asarray(np.isfinite(net).all(axis=0)),
         (single, mean / duty - single),
         (single_variance, mean_variance / duty**2 + single_variance),
     )

@@ -1,10 +1,165 @@
 """Measure how light travels in scattering media.
 
-Everything the command line does is one call of this module::
+Everything the command line does is one call of this module:
 
-    plan = labrig.load_plan("configs/plans/six-shifts.yaml")
-    with labrig.open_rig("configs/rigs/simulated.yaml", "configs/scenes/dilute-milk.yaml", plan) as rig:
-        session = labrig.capture(plan, rig, "sessions")
-    result = labrig.analyse(session)
-    page = labrig.report(result)
+>>> import labrig
+>>> plan = labrig.load_plan("configs/plans/six-shifts.yaml")
+>>> with labrig.open_rig(
+...     "configs/rigs/simulated.yaml", "configs/scenes/dilute-milk.yaml", plan
+... ) as rig:
+...     session = labrig.capture(plan, rig, "sessions")  # doctest: +SKIP
+>>> result = labrig.analyse(session)  # doctest: +SKIP
+>>> page = labrig.report(result)  # doctest: +SKIP
 """
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from os import PathLike
+from pathlib import Path
+
+from labrig import config as _config
+from labrig import importing as _importing
+from labrig import pipeline as _pipeline
+from labrig import rig as _rig
+from labrig import runner as _runner
+from labrig.config import Analysis, Plan, Rig, Scene, config_folder
+from labrig.pipeline import Until
+from labrig.results import Result, read_results
+from labrig.rig import OpenRig
+from labrig.session import Problem, Session, verify
+
+__all__ = [
+    "Analysis",
+    "OpenRig",
+    "Plan",
+    "Problem",
+    "Result",
+    "Rig",
+    "Scene",
+    "Session",
+    "analyse",
+    "capture",
+    "config_folder",
+    "import_session",
+    "load_analysis",
+    "load_plan",
+    "load_rig",
+    "load_scene",
+    "open_rig",
+    "read_results",
+    "report",
+    "verify",
+]
+
+StrPath = str | PathLike[str]
+Counted = Callable[[int, int], None]
+
+
+def load_plan(path: StrPath) -> Plan:
+    """Read a capture plan; raise `labrig.errors.ConfigError` naming file and key."""
+    return _config.load(Path(path), Plan)
+
+
+def load_rig(path: StrPath) -> Rig:
+    """Read a rig file; raise `labrig.errors.ConfigError` naming file and key."""
+    return _config.load(Path(path), Rig)
+
+
+def load_scene(path: StrPath) -> Scene:
+    """Read a scene file; raise `labrig.errors.ConfigError` naming file and key."""
+    return _config.load(Path(path), Scene)
+
+
+def load_analysis(path: StrPath) -> Analysis:
+    """Read an analysis file; raise `labrig.errors.ConfigError` naming file and key."""
+    return _config.load(Path(path), Analysis)
+
+
+def open_rig(
+    rig: Rig | StrPath, scene: Scene | StrPath, plan: Plan, *, progress: Counted | None = None
+) -> OpenRig:
+    """Open the devices of a rig, ready for a plan; use it in a ``with`` block.
+
+    ``progress(done, all)`` follows the Monte Carlo that makes a new scene's light.
+
+    Raises
+    ------
+    labrig.errors.LabrigError, drivers.errors.DriverError
+        If rig, scene and plan do not fit one another.
+    """
+    rig = rig if isinstance(rig, Rig) else load_rig(rig)
+    scene = scene if isinstance(scene, Scene) else load_scene(scene)
+    return _rig.open_rig(rig, scene, plan, progress=progress)
+
+
+def capture(plan: Plan, rig: OpenRig, out: StrPath, *, progress: Counted | None = None) -> Path:
+    """Take every shot of a plan; return the sealed session folder made below ``out``.
+
+    Raises
+    ------
+    labrig.errors.LabrigError, drivers.errors.DriverError
+        The session then stays unsealed and keeps every frame taken.
+    """
+    return _runner.capture(plan, rig, Path(out), progress=progress)
+
+
+def import_session(manifest: StrPath, out: StrPath, *, progress: Counted | None = None) -> Path:
+    """Make a session of existing image files; return its folder made below ``out``.
+
+    Raises
+    ------
+    labrig.errors.ConfigError
+        If manifest or pictures are unfit; nothing is written then.
+    """
+    return _importing.import_session(Path(manifest), Path(out), progress=progress)
+
+
+def analyse(
+    session: StrPath,
+    config: Analysis | StrPath | None = None,
+    *,
+    until: Until = "results",
+    out: StrPath | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Result:
+    """Analyse a session; ``until="separation"`` for samples that are no scattering tank.
+
+    Raises
+    ------
+    labrig.errors.LabrigError, analysis.errors.AnalysisError, calibration.errors.CalibrationError
+        Where no trustworthy answer exists.
+    """
+    if config is not None and not isinstance(config, Analysis):
+        config = load_analysis(config)
+    return _pipeline.analyse(
+        Path(session),
+        config,
+        until=until,
+        out=None if out is None else Path(out),
+        progress=progress,
+    )
+
+
+def report(
+    result: Result | StrPath,
+    out: StrPath | None = None,
+    *,
+    truth: Mapping[str, float] | None = None,
+) -> Path:
+    """Write figures and a self-contained HTML report; return the path of the page.
+
+    Parameters
+    ----------
+    result : a result, its folder, or a session folder (its newest result)
+    truth : true parameters by their names in run.json; else those of a simulated session
+
+    Raises
+    ------
+    labrig.errors.SessionError
+        If there are no results, or they are damaged.
+    """
+    from labrig.report import write_report  # noqa: PLC0415 - matplotlib takes a second to load
+
+    found = result if isinstance(result, Result) else read_results(Path(result))
+    return write_report(found, None if out is None else Path(out), truth)

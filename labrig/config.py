@@ -6,6 +6,7 @@ Every file names its schema. Unknown keys are refused by name, with the nearest 
 from __future__ import annotations
 
 import difflib
+import sys
 import typing
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -357,8 +358,9 @@ class Analysis(_Model):
         if not -1.0 < low < high < 1.0:
             msg = f"g_range {[low, high]} is not -1 < low < high < 1"
             raise ValueError(msg)
-        if self.depth_range_mm is not None and not 0 <= self.depth_range_mm[0] < (
-            self.depth_range_mm[1]
+        if (
+            self.depth_range_mm is not None
+            and not 0 <= self.depth_range_mm[0] < (self.depth_range_mm[1])
         ):
             msg = f"depth_range_mm {list(self.depth_range_mm)} is not 0 <= from < to"
             raise ValueError(msg)
@@ -400,6 +402,12 @@ class ImportManifest(Setup):
     frames: tuple[ImportFrame, ...] = Field(min_length=1)
 
 
+def config_folder() -> Path:
+    """Return the folder of the configurations that come with the program."""
+    beside = Path(__file__).resolve().parent.parent / "configs"
+    return beside if beside.is_dir() else Path(sys.prefix) / "share" / "labrig" / "configs"
+
+
 SCHEMAS: dict[str, type[_Model]] = {
     "plan": Plan,
     "rig": Rig,
@@ -436,7 +444,7 @@ def load(path: Path, model: type[M]) -> M:
     return parse(content, model, source=str(path))
 
 
-def parse(content: dict[str, Any], model: type[M], *, source: str) -> M:
+def parse(content: Any, model: type[M], *, source: str) -> M:
     """Validate a mapping; ``source`` names it in messages.
 
     Raises
@@ -498,9 +506,7 @@ def _keys_at(model: type[BaseModel], location: list[str | int]) -> list[str]:
         if isinstance(part, int):
             continue
         fields = [
-            (f.alias or name, f.annotation)
-            for m in here
-            for name, f in m.model_fields.items()
+            (f.alias or name, f.annotation) for m in here for name, f in m.model_fields.items()
         ]
         inner = [t for name, t in fields if name == part]
         if inner:

@@ -102,7 +102,9 @@ def _read(manifest: Path, frame: ImportFrame) -> NDArray[np.uint16]:
     path = manifest.parent / frame.file
     where = f"{manifest}: frame {frame.file}"
     try:
-        picture = tifffile.imread(path) if path.suffix in {".tif", ".tiff"} else _read_by_pillow(path)
+        picture = (
+            tifffile.imread(path) if path.suffix in {".tif", ".tiff"} else _read_by_pillow(path)
+        )
     except FileNotFoundError as error:
         msg = f"{where} does not exist; mend the path, which is relative to the manifest."
         raise ConfigError(msg) from error

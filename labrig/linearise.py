@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from labrig.plan import Shot
 from labrig.session import Session
 
 Array = NDArray[np.float64]
+T = TypeVar("T", bound=np.generic)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -167,7 +169,7 @@ def _shift_names(session: Session) -> list[str]:
     return [f"stripes-{k}" for k in range(n)]
 
 
-def _turned(picture: NDArray[np.generic], setup: Setup) -> NDArray[np.generic]:
+def _turned(picture: NDArray[T], setup: Setup) -> NDArray[T]:
     """Return the region with the lit side left, cut to the tank where that is given."""
     geometry = setup.geometry
     x, y, width, height = geometry.region_px or (0, 0, picture.shape[1], picture.shape[0])

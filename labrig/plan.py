@@ -46,7 +46,7 @@ class Shot:
         if not set(record) <= names or not {"id", "set", "role", "group", "exposure_s"} <= set(
             record
         ):
-            msg = f"the shot {record.get('id', '?')!r} has keys {sorted(record)}, not {sorted(names)}."
+            msg = f"shot {record.get('id', '?')!r} has keys {sorted(record)}, not {sorted(names)}."
             raise PlanError(msg)
         return cls(**record)
 

@@ -135,7 +135,8 @@ def _quality(outcome: Outcome) -> dict[str, Any]:
         "saturated_fraction": pictures.saturated_fraction,
         "detected_fraction": float(np.mean(best.detected)),
         "direct_share_median": _median(
-            best.single / np.where(best.single + best.multiple > 0, best.single + best.multiple, np.nan)
+            best.single
+            / np.where(best.single + best.multiple > 0, best.single + best.multiple, np.nan)
         ),
     }
     if pictures.white is not None:

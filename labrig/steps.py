@@ -104,9 +104,7 @@ def separate(pictures: Pictures, setup: Setup, config: Analysis) -> Separated:
     return Separated(best=extrema, extrema=extrema, notes=(note,))
 
 
-def attenuate(
-    separated: Separated, pictures: Pictures, setup: Setup, config: Analysis
-) -> Decay:
+def attenuate(separated: Separated, pictures: Pictures, setup: Setup, config: Analysis) -> Decay:
     """Fit the decay of single scattering, and of the light without separation (Eq. 9, Fig. 11).
 
     Raises

@@ -201,7 +201,7 @@ def _score_ray(  # pragma: no cover - compiled
     power = 1
     left, s = 1.0, 0.0
     while s < reach and 0 <= i < n_x and 0 <= j < n_y:
-        s_next = min(min(next_x, next_y), reach)
+        s_next = min(next_x, next_y, reach)
         left_next = math.exp(-sigma_t * s_next)
         scores[j, i] += weight * (left - left_next) / sigma_t
         if n_h > 0:

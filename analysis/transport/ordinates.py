@@ -11,7 +11,6 @@ from collections.abc import Iterator
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from analysis.errors import AnalysisError
 from analysis.light_field import BounceField, Grid
@@ -54,7 +53,7 @@ def march(medium: Medium, beam: Beam, grid: Grid, *, n_bounces: int) -> Iterator
     ------
     AnalysisError
         If fewer than two bounces are asked for, the beam leaves the tank's face, or the angles
-        cannot resolve the phase function (\\|g\\|^(n_theta/2) above one percent).
+        cannot resolve the phase function (g^(n_theta/2) above one percent).
     """
     if n_bounces < 2:
         msg = f"n_bounces = {n_bounces}: at least two are needed for multiple scattering."
@@ -115,15 +114,12 @@ def _interpolate(  # pragma: no cover - compiled
     line: Array, start: int, stride: int, n: int, position: float
 ) -> float:
     """Return the cubic through a strided line of n nodes at a fractional node position."""
-    first = min(max(int(math.floor(position)) - 1, 0), n - 4)
+    first = min(max(math.floor(position) - 1, 0), n - 4)
     w0, w1, w2, w3 = _cubic_weights(position - first)
     at = start + first * stride
-    return (
-        w0 * line[at]
-        + w1 * line[at + stride]
-        + w2 * line[at + 2 * stride]
-        + w3 * line[at + 3 * stride]
-    )
+    near: float = w0 * line[at] + w1 * line[at + stride]
+    far: float = w2 * line[at + 2 * stride] + w3 * line[at + 3 * stride]
+    return near + far
 
 
 @njit(cache=True, nogil=True)

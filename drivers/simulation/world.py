@@ -1,4 +1,4 @@
-"""The simulated world: what the projector shows when, and the light that then falls on the sensor."""
+"""The simulated world: what the projector shows, and the light that then falls on the sensor."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from drivers.simulation.clock import VirtualClock
 
 Image = NDArray[np.uint8]
 Light = Callable[[Image | None, float], NDArray[np.float64]]
-"""From what the projector shows (None: lamp off) and its black level to electrons/s, (rows, cols)."""
+"""From what the projector shows (None: off) and its black level to electrons/s on the sensor."""
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""The picture of the tank under any projector image: single scattering, multiple scattering, ambient.
+"""The picture of the tank under any projector image: single and multiple scattering, ambient.
 
 All of it in electrons per second on the camera's pixels, without noise; noise is the camera's.
 """
@@ -73,8 +73,7 @@ class Picture:
                 levels = black_level + (1.0 - black_level) * self._line(image) / 255.0
                 x, y, width, height = self._region
                 seen[y : y + height, x : x + width] += self._turned(
-                    self._scene.light.peak_e_per_s
-                    * (self._single(levels) + self._multiple(levels))
+                    self._scene.light.peak_e_per_s * (self._single(levels) + self._multiple(levels))
                 )
             self._kept[key] = seen
         return self._kept[key]
@@ -203,7 +202,7 @@ class Picture:
         x, y, width, height = self._region
         camera, tank = self._rig.camera, self._scene.tank
         if x + width > camera.cols or y + height > camera.rows:
-            msg = f"region_px {list(self._region)} leaves the {camera.cols} x {camera.rows} px camera."
+            msg = f"region_px {list(self._region)} leaves {camera.cols} x {camera.rows} px."
             raise RunError(msg)
         along, across = (width, height)
         if self._rig.geometry.lit_side in {"top", "bottom"}:

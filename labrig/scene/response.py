@@ -11,6 +11,7 @@ import json
 import math
 import os
 import tempfile
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -97,7 +98,7 @@ def _read(path: Path) -> SampledField | None:
     try:
         with np.load(path, allow_pickle=False) as kept:
             return SampledField(**{f.name: kept[f.name] for f in fields(SampledField)})
-    except (OSError, ValueError, KeyError, EOFError):
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
 
 

@@ -1,0 +1,68 @@
+"""Nonsense is refused in one line, by name."""
+
+import math
+
+import pytest
+
+from analysis.errors import AnalysisError
+from analysis.light_field import Grid
+from analysis.medium import Beam, Medium, Tank
+from analysis.transport.montecarlo import simulate
+from analysis.transport.ordinates import solve
+
+GOOD = {"sigma_t_per_mm": 0.2, "sigma_s_per_mm": 0.1, "g": 0.4}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "named"),
+    [
+        ({"g": 1.1}, "g = 1.1"),
+        ({"g": math.nan}, "g = nan"),
+        ({"sigma_t_per_mm": -0.2}, "sigma_t = -0.2"),
+        ({"sigma_t_per_mm": 0.0}, "sigma_t = 0.0"),
+        ({"sigma_t_per_mm": math.inf}, "sigma_t_per_mm = inf"),
+        ({"sigma_s_per_mm": 0.3}, "sigma_s = 0.3"),
+        ({"phase": "mie"}, "phase = 'mie'"),
+    ],
+)
+def test_a_medium_that_cannot_be_is_refused(wrong, named):
+    with pytest.raises(AnalysisError, match=named) as caught:
+        Medium(**{**GOOD, **wrong})
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Tank(depth_mm=0.0, width_mm=1.0),
+        lambda: Tank(depth_mm=math.nan, width_mm=1.0),
+        lambda: Beam(from_mm=2.0, to_mm=1.0),
+        lambda: Beam(from_mm=0.0, to_mm=1.0, angle_deg=90.0),
+        lambda: Beam(from_mm=-1.0, to_mm=1.0).within(Tank(depth_mm=1.0, width_mm=2.0)),
+        lambda: Grid.covering(Tank(depth_mm=1.0, width_mm=1.0), cell_mm=0.0, n_theta=16),
+        lambda: Grid(tank=Tank(depth_mm=1.0, width_mm=1.0), n_x=2, n_y=9, n_theta=16),
+    ],
+)
+def test_geometry_that_cannot_be_is_refused(make):
+    with pytest.raises(AnalysisError) as caught:
+        make()
+    assert "\n" not in str(caught.value)
+
+
+def test_solvers_refuse_what_they_cannot_answer():
+    tank, beam, medium = (
+        Tank(depth_mm=4.0, width_mm=4.0),
+        Beam(from_mm=1.0, to_mm=2.0),
+        Medium(**GOOD),
+    )
+    grid = Grid.covering(tank, cell_mm=1.0, n_theta=8)
+    with pytest.raises(AnalysisError, match="at least two"):
+        solve(medium, beam, grid, n_bounces=1)
+    peaked = Medium(**{**GOOD, "g": 0.95})
+    with pytest.raises(AnalysisError, match=r"cannot resolve g = 0\.95"):
+        solve(peaked, beam, grid, n_bounces=3)
+    literal = Medium(**GOOD, phase="hg-paper")
+    with pytest.raises(AnalysisError, match="hg-plane only"):
+        simulate(literal, tank, beam, n_bounces=3, n_paths=100, cell_mm=1.0, seed=1)
+    with pytest.raises(AnalysisError, match="at least 16 paths"):
+        simulate(medium, tank, beam, n_bounces=3, n_paths=3, cell_mm=1.0, seed=1)

@@ -1,0 +1,160 @@
+"""What the simulated camera sees, against integrals done another way."""
+
+import math
+
+import numpy as np
+import pytest
+
+import labrig
+from labrig.config import parse
+from labrig.errors import RunError
+from labrig.patterns import draw
+from labrig.plan import stripes_of
+from labrig.scene.picture import Picture
+from labrig.scene.response import bounces_needed, tank_response
+
+FOLDER = labrig.config_folder()
+PERIOD_PX = 12
+
+
+def scene_of(**changes) -> labrig.Scene:
+    content = {
+        "schema": "labrig-scene/1",
+        "medium": {"sigma_t_per_mm": 0.3, "sigma_s_per_mm": 0.15, "g": 0.3},
+        "tank": {"depth_mm": 20, "width_mm": 15},
+        "beam": {"from_mm": 4, "to_mm": 11},
+        "light": {"peak_e_per_s": 1000.0, "ambient_e_per_s": 7.0},
+        "transport": {"n_paths": 16000, "cell_mm": 0.5},
+        **changes,
+    }
+    return parse(content, labrig.Scene, source="here")
+
+
+def rig_of(side: str = "left") -> labrig.Rig:
+    rig = labrig.load_rig(FOLDER / "rigs" / "simulated.yaml")
+    region = (12, 5, 200, 150) if side in {"left", "right"} else (12, 5, 150, 200)
+    geometry = rig.geometry.model_copy(update={"region_px": region, "lit_side": side})
+    camera = rig.camera.model_copy(update={"rows": 220, "cols": 230})
+    return rig.model_copy(update={"geometry": geometry, "camera": camera})
+
+
+@pytest.fixture(scope="module")
+def picture():
+    scene = scene_of()
+    response = tank_response(scene, period_mm=1.8)
+    return Picture(scene, rig_of(), response, period_px=PERIOD_PX)
+
+
+def stripes(shift: int) -> np.ndarray:
+    plan = labrig.load_plan(FOLDER / "plans" / "six-shifts.yaml")
+    image = draw(stripes_of(plan), 720, 1280, shift)
+    assert image is not None
+    return image
+
+
+WHITE = np.full((720, 1280), 255, np.uint8)
+
+
+def test_single_scattering_under_white_is_the_exponential_inside_the_beam(picture):
+    truth = picture.truth(0.0)
+    x = (np.arange(200) + 0.5) * 0.1
+    rows = slice(50, 100)  # 5 to 10 mm, inside 4 to 11
+    expected = 1000.0 * np.exp(-0.3 * x)
+    # measured worst 4e-5: a pixel's mean of the exponential against its middle
+    np.testing.assert_allclose(truth.single[rows].mean(axis=0), expected, rtol=1e-4)
+    assert truth.single[:39].max() == 0.0
+    assert truth.single[111:].max() == 0.0
+
+
+def test_shifted_stripes_together_are_half_the_white_light(picture):
+    together = sum(picture.light(stripes(k), 0.0) for k in range(6)) / 6 - 7.0
+    white = picture.light(WHITE, 0.0) - 7.0
+    inside = white > 0.01 * white.max()
+    # measured worst 2e-14
+    np.testing.assert_allclose(together[inside], 0.5 * white[inside], rtol=1e-9)
+
+
+def test_light_is_linear_in_the_projectors_leak(picture):
+    lit, dark = picture.light(WHITE, 0.0), picture.light(np.zeros_like(WHITE), 0.25)
+    np.testing.assert_allclose(dark - 7.0, 0.25 * (lit - 7.0), rtol=1e-6, atol=1e-9)
+
+
+def test_a_lamp_that_is_off_leaves_the_ambient_light(picture):
+    assert (picture.light(None, 0.5) == 7.0).all()
+
+
+def test_stripes_in_the_picture_have_the_contrast_of_the_blur(picture):
+    amplitude, mean = 0.0, 0.0
+    y = (np.arange(150) + 0.5) * 0.1
+    column = picture._single(stripes(0)[0] / 255.0)[50:86, 0]  # two periods
+    wave = np.exp(-2j * np.pi * y[50:86] / 1.8)
+    amplitude, mean = 2 * abs((column * wave).mean()), column.mean()
+    turn = 2 * np.pi / PERIOD_PX
+    pixel = np.sinc(0.1 / 0.15 / PERIOD_PX)
+    expected = 2 / math.pi * math.exp(-0.5 * (turn * 0.5) ** 2) * pixel
+    # measured 2e-4
+    assert amplitude / (2 * mean) == pytest.approx(expected, rel=2e-3)
+
+
+@pytest.mark.parametrize("side", ["right", "top", "bottom"])
+def test_the_lit_side_turns_the_picture_and_nothing_else(picture, side):
+    other = Picture(scene_of(), rig_of(side), picture._response, period_px=PERIOD_PX).light(
+        stripes(1), 0.0
+    )
+    left = picture.light(stripes(1), 0.0)[5:155, 12:212]
+    if side == "right":
+        np.testing.assert_array_equal(other[5:155, 12:212], left[:, ::-1])
+    else:
+        turned = other[5:205, 12:162]
+        np.testing.assert_array_equal(turned if side == "top" else turned[::-1], left.T)
+
+
+def test_a_slanted_beam_carries_its_stripes_along():
+    scene = scene_of(beam={"from_mm": 2, "to_mm": 6, "angle_deg": 30.0})
+    found = Picture(scene, rig_of(), tank_response(scene, period_mm=1.8), period_px=PERIOD_PX)
+    single = found.truth(0.0).single
+    middle = np.array([np.mean(np.flatnonzero(column > 0)) for column in single[:, :150:20].T])
+    drift = (middle - middle[0]) * 0.1
+    expected = np.arange(0, 150, 20) * 0.1 * math.tan(math.radians(30.0))
+    # measured worst 0.05 mm, half a pixel
+    np.testing.assert_allclose(drift, expected, atol=0.1)
+    assert single[:, 150].max() / single[:, 0].max() == pytest.approx(
+        math.exp(-0.3 * 15.0 / math.cos(math.radians(30.0))), rel=0.01
+    )
+
+
+def test_the_response_is_kept_and_a_damaged_copy_is_made_anew(tmp_path, monkeypatch):
+    monkeypatch.setenv("LABRIG_CACHE", str(tmp_path))
+    scene = scene_of(transport={"n_paths": 1600, "cell_mm": 1.0})
+    first = tank_response(scene, period_mm=1.8)
+    again = tank_response(scene, period_mm=1.8)
+    assert (first.from_cache, again.from_cache) == (False, True)
+    np.testing.assert_array_equal(first.field.modulated, again.field.modulated)
+    assert not tank_response(scene, period_mm=2.0).from_cache
+    for kept in (tmp_path / "labrig").iterdir():
+        kept.write_bytes(kept.read_bytes()[:500])
+    assert not tank_response(scene, period_mm=1.8).from_cache
+
+
+def test_bounces_end_where_the_albedo_says():
+    assert bounces_needed(0.5, 1e-3) == 10
+    assert bounces_needed(0.0, 1e-3) == 2
+    assert bounces_needed(1.0, 1e-3) == 400
+
+
+def test_pictures_the_response_does_not_know_are_refused(picture):
+    uneven = WHITE.copy()
+    uneven[:, 100:] = 3
+    with pytest.raises(RunError, match="does not repeat every 12 px"):
+        picture.light(uneven, 0.0)
+    with pytest.raises(RunError, match="varies along y"):
+        picture.light(
+            np.ascontiguousarray(WHITE * (np.arange(720) % 2)[:, None].astype(np.uint8)), 0.0
+        )
+    with pytest.raises(RunError, match="the scene's tank is"):
+        Picture(
+            scene_of(tank={"depth_mm": 30, "width_mm": 15}),
+            rig_of(),
+            picture._response,
+            period_px=PERIOD_PX,
+        )
