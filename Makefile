@@ -22,7 +22,7 @@ contracts: install
 	@$(BIN)/lint-imports
 
 bench: install  ## everything that is fast or slow
-	@$(BIN)/python -m pytest tests/benchmarks --benchmark-enable -q -p no:xdist
+	@$(BIN)/python -m pytest tests/benchmarks --benchmark-enable -q -s
 
 install: .venv/installed
 

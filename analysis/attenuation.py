@@ -13,7 +13,9 @@ from analysis.profile import DepthProfile
 
 Array = NDArray[np.float64]
 
+SIGNIFICANT = 3.0  # standard deviations by which sigma_t must exceed zero
 SIGNAL_SNR = 5.0  # depths darker than this many standard deviations end the fit
+DETECTED_SHARE = 0.5  # and depths where most pixels show no single scattering
 SIGNAL_SHARE = 0.01  # and so do depths darker than this share of the brightest
 
 
@@ -49,7 +51,7 @@ def fit_attenuation(
     Parameters
     ----------
     depth_range_mm : fitted depths; else from the face down to where the signal sinks below five
-        standard deviations or one percent of its maximum for good
+        standard deviations or one percent of its maximum for good, or is mostly not detected
 
     Raises
     ------
@@ -74,13 +76,14 @@ def fit_attenuation(
     start = np.array([ends[0], max((ends[0] - ends[1]) / span, 1e-6 / span)])
     found = least_squares(residual, start, jac=jacobian, x_scale=[1.0, 1.0 / span], method="lm")
     scale_c, sigma_t = float(np.exp(found.x[0])), float(found.x[1])
-    if not (np.isfinite(found.x).all() and sigma_t > 0.0):
+    inverse = np.linalg.pinv(found.jac.T @ found.jac)
+    std_t = float(np.sqrt(inverse[1, 1]))
+    if not (np.isfinite(found.x).all() and sigma_t > SIGNIFICANT * std_t):
         msg = (
-            f"light does not decay along the beam (sigma_t = {sigma_t:.3g}); "
+            f"light does not decay along the beam (sigma_t = {sigma_t:.3g} +- {std_t:.2g}); "
             "is lit_side right, and is the sample a scattering tank?"
         )
         raise AnalysisError(msg)
-    inverse = np.linalg.inv(found.jac.T @ found.jac)
     to_c = np.diag([scale_c, 1.0])
     model = scale_c * np.exp(-sigma_t * depth)
     return Attenuation(
@@ -96,6 +99,7 @@ def fit_attenuation(
 def _chosen(profile: DepthProfile, wanted: tuple[float, float] | None) -> NDArray[np.bool_]:
     depth, value = profile.depth_mm, profile.value
     seen = value > np.maximum(SIGNAL_SNR * profile.std, SIGNAL_SHARE * np.nanmax(value))
+    seen &= profile.detected_share >= DETECTED_SHARE
     if not seen.any():
         msg = "no signal: light along the beam is nowhere five times its standard deviation."
         raise AnalysisError(msg)

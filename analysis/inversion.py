@@ -59,7 +59,7 @@ def invert(
     use = np.isfinite(multiple)
     use[[0, -1], :] = use[:, [0, -1]] = False
     picture = multiple[use]
-    if picture.size < 16 or not picture.sum() > 0.0:
+    if picture.size < 16 or not picture.any():
         msg = "the multiple scattering holds no light; sigma_s and g cannot be determined."
         raise AnalysisError(msg)
     c = attenuation.scale_c

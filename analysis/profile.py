@@ -13,6 +13,9 @@ from analysis.medium import Beam
 
 Array = NDArray[np.float64]
 
+# Where some pixels are saturated, those left are the darker ones: a mean of them would be low.
+WHOLE = 0.95
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthProfile:
@@ -24,21 +27,30 @@ class DepthProfile:
     value, std : (n,), mean and its standard deviation; from the variance map, or from the scatter
         of the rows where that is unknown
     n_rows : (n,), pixels in each mean
+    detected_share : (n,), share of these pixels whose light was detected
     """
 
     depth_mm: Array
     value: Array
     std: Array
     n_rows: NDArray[np.int64]
+    detected_share: Array
 
 
 def depth_profile(
-    picture: Array, variance: Array, pixel_mm: float, beam: Beam, *, margin_mm: float
+    picture: Array,
+    variance: Array,
+    pixel_mm: float,
+    beam: Beam,
+    *,
+    margin_mm: float,
+    detected: NDArray[np.bool_] | None = None,
 ) -> DepthProfile:
     """Average a picture (rows = y, cols = x) across the beam at every depth.
 
-    Rows nearer than ``margin_mm`` to the beam's edges are left out. A slanted beam is followed;
-    its depth is the path x / cos(theta_0).
+    Rows nearer than ``margin_mm`` to the beam's edges are left out. ``detected`` (rows, cols) is
+    counted, not selected by: a mean of detected pixels alone would be high. A slanted beam is
+    followed; its depth is the path x / cos(theta_0).
 
     Raises
     ------
@@ -59,7 +71,7 @@ def depth_profile(
         raise AnalysisError(msg)
     use = inside & np.isfinite(picture)
     n = use.sum(axis=0)
-    keep = n >= max(2, 0.5 * inside[:, 0].sum())
+    keep = n >= np.maximum(2, WHOLE * inside.sum(axis=0))
     if keep.sum() < 4:
         msg = "fewer than four depths have valid pixels; the beam is saturated or out of view."
         raise AnalysisError(msg)
@@ -67,12 +79,14 @@ def depth_profile(
     mean = np.where(use, picture, 0.0).sum(axis=0) / counted
     scatter = np.where(use, (picture - mean) ** 2, 0.0).sum(axis=0) / np.maximum(n - 1, 1)
     known = np.where(use, variance, 0.0).sum(axis=0) / counted
+    seen = use if detected is None else use & detected
     of_one = np.where(np.isfinite(known), known, scatter)
     return DepthProfile(
         depth_mm=x[keep] / math.cos(angle),
         value=mean[keep],
         std=np.sqrt(of_one / counted)[keep],
         n_rows=n[keep],
+        detected_share=(seen.sum(axis=0) / counted)[keep],
     )
 
 

@@ -104,7 +104,7 @@ def _refuse_bad_bracket(
 
 
 @njit(cache=True, nogil=True)
-def _merge(  # pragma: no cover - compiled
+def _merge(
     counts: NDArray[np.uint16],
     exposures_s: NDArray[np.float64],
     offsets_dn: NDArray[np.float64],

@@ -229,22 +229,31 @@ def _say_session(path: Path, as_json: bool) -> None:
 
 @contextmanager
 def _bars() -> Iterator[Callable[[str, int, int], None]]:
-    """Show a bar for each thing in progress, on standard error."""
+    """Show a bar for each thing in progress, on standard error if that is a terminal."""
     columns = (TextColumn("{task.description:10}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=err_console, transient=True) as progress:
-        tasks: dict[str, Any] = {}
+    progress = Progress(
+        *columns, console=err_console, transient=True, disable=not err_console.is_terminal
+    )
+    tasks: dict[str, Any] = {}
 
-        def follow(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                tasks[what] = progress.add_task(what, total=total)
-            progress.update(tasks[what], completed=done)
+    def follow(what: str, done: int, total: int) -> None:
+        progress.start()
+        if what not in tasks:
+            tasks[what] = progress.add_task(what, total=total)
+        progress.update(tasks[what], completed=done)
 
+    try:
         yield follow
+    finally:
+        progress.stop()
 
 
 @contextmanager
 def _spinner() -> Iterator[Callable[[str], None]]:
     """Show the stage in progress, on standard error."""
+    if not err_console.is_terminal:
+        yield lambda _: None
+        return
     with err_console.status("open") as status:
         yield status.update
 

@@ -6,6 +6,7 @@ Every file names its schema. Unknown keys are refused by name, with the nearest 
 from __future__ import annotations
 
 import difflib
+import reprlib
 import sys
 import typing
 from pathlib import Path
@@ -23,10 +24,35 @@ Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
 
 
+def _check_shift(role: str, shift: int | None, shifts: int | None) -> None:
+    """Refuse stripes without shift and shifts, and anything else with them."""
+    if role != "stripes":
+        if shift is not None or shifts is not None:
+            msg = f"only role stripes has shift and shifts, not {role}"
+            raise ValueError(msg)
+    elif shift is None or shifts is None:
+        msg = "role stripes needs shift and shifts"
+        raise ValueError(msg)
+    elif shift >= shifts:
+        msg = f"shift {shift} is not below shifts {shifts}"
+        raise ValueError(msg)
+
+
 class _Model(BaseModel):
     model_config = ConfigDict(
-        frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True, strict=False
+        frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_truth_values(cls, content: Any) -> Any:
+        """Refuse yes, no, on and off, which YAML 1.1 reads as truth and pydantic as one or zero."""
+        if isinstance(content, dict):
+            for key, value in content.items():
+                if isinstance(value, bool):
+                    msg = f"{key} is {str(value).lower()}, a number or a word was expected"
+                    raise ValueError(msg)  # noqa: TRY004 - pydantic explains only value errors
+        return content
 
 
 # --- what any session tells the analysis -------------------------------------------------------
@@ -64,7 +90,8 @@ class GeometryConfig(_Model):
 
     mm_per_px: Positive | None = Field(None, description="without it lengths are px and say so")
     region_px: tuple[int, int, int, int] | None = Field(
-        None, description="x, y, width, height; begins at the entry face; else the whole picture"
+        None,
+        description="x, y, width, height; begins at the entry face; else the whole picture",
     )
     lit_side: Literal["left", "right", "top", "bottom"] = "left"
 
@@ -272,6 +299,33 @@ class Plan(_Model):
         return self
 
 
+class Shot(_Model):
+    """One picture to be taken, or taken.
+
+    ``shift`` k of ``shifts`` N: the stripes moved by k/N of their period; both None for the
+    others. ``pattern`` is the digest of the projector image, None if the projector is off or the
+    picture was made elsewhere.
+    """
+
+    model_config = ConfigDict(strict=True)
+
+    id: str
+    set: str
+    role: Role
+    group: str
+    exposure_s: Positive
+    repeat: int = Field(0, ge=0)
+    shift: int | None = Field(None, ge=0)
+    shifts: int | None = Field(None, ge=2)
+    pattern: str | None = None
+    shutter: Literal["open", "covered"] = "open"
+
+    @model_validator(mode="after")
+    def _only_stripes_have_shifts(self) -> Shot:
+        _check_shift(self.role, self.shift, self.shifts)
+        return self
+
+
 # --- scenes -------------------------------------------------------------------------------------
 
 
@@ -348,7 +402,7 @@ class Analysis(_Model):
     cell_mm: Positive = Field(1.0, description="grid of the forward solver")
     n_theta: int = Field(64, ge=8, multiple_of=4)
     n_bounces: int = Field(12, ge=2, le=400)
-    g_range: tuple[float, float] = (-0.5, 0.8)
+    g_range: tuple[float, float] = Field((-0.5, 0.8))
     n_g: int = Field(9, ge=3, le=64, description="Chebyshev nodes in g")
     depth_range_mm: tuple[float, float] | None = Field(None, description="of Eq. 9; else chosen")
 
@@ -380,17 +434,12 @@ class ImportFrame(_Model):
     shifts: int | None = Field(None, ge=2)
 
     @model_validator(mode="after")
-    def _stripes_name_their_shift(self) -> ImportFrame:
-        named = self.shift is not None and self.shifts is not None
-        if self.role == "stripes" and not named:
-            msg = f"{self.file}: role stripes needs shift and shifts"
-            raise ValueError(msg)
-        if self.role != "stripes" and (self.shift is not None or self.shifts is not None):
-            msg = f"{self.file}: only role stripes has shift and shifts, not {self.role}"
-            raise ValueError(msg)
-        if self.shift is not None and self.shifts is not None and self.shift >= self.shifts:
-            msg = f"{self.file}: shift {self.shift} is not below shifts {self.shifts}"
-            raise ValueError(msg)
+    def _only_stripes_have_shifts(self) -> ImportFrame:
+        try:
+            _check_shift(self.role, self.shift, self.shifts)
+        except ValueError as error:
+            msg = f"{self.file}: {error}"
+            raise ValueError(msg) from error
         return self
 
 
@@ -477,11 +526,10 @@ def _explain(error: ValidationError, model: type[BaseModel], source: str) -> str
     found = error.errors(include_url=False)
     first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])
     more = f" ({len(found) - 1} more)" if len(found) > 1 else ""
-    location = [part for part in first["loc"] if not _is_tag(part)]
-    key = ".".join(str(part) for part in location)
+    keys, known = _walk(model, first["loc"])
+    key = ".".join(keys)
     if first["type"] == "extra_forbidden":
-        known = _keys_at(model, list(first["loc"])[:-1])
-        near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.0)
+        near = difflib.get_close_matches(keys[-1], known, n=1, cutoff=0.0)
         hint = f"; did you mean {near[0]!r}?" if near else "."
         return _one_line(f"{source}: key {key!r} is unknown{hint}{more}")
     if first["type"] == "missing":
@@ -489,31 +537,31 @@ def _explain(error: ValidationError, model: type[BaseModel], source: str) -> str
     message = str(first["msg"]).removeprefix("Value error, ")
     shown = ""
     if not isinstance(first["input"], dict | BaseModel):
-        shown = f" (found {first['input']!r})"
+        shown = f" (found {reprlib.repr(first['input'])[:80]})"
     where = f"key {key!r}: " if key else ""
     return _one_line(f"{source}: {where}{message}{shown}{more}")
 
 
-def _is_tag(part: str | int) -> bool:
-    """Tell the discriminator's own steps in a location from keys of the file."""
-    return part in {"stripes", "uniform", "black", "lamp-off"} and isinstance(part, str)
+def _walk(model: type[BaseModel], location: tuple[int | str, ...]) -> tuple[list[str], list[str]]:
+    """Return the keys of the file along a location, and the keys known where the last one stands.
 
-
-def _keys_at(model: type[BaseModel], location: list[str | int]) -> list[str]:
-    """Return the keys known where an unknown one was found."""
+    A location holds also the kind by which pydantic chose among several models, which is no key.
+    """
     here: list[type[BaseModel]] = [model]
+    keys: list[str] = []
+    known: list[str] = []
     for part in location:
-        if isinstance(part, int):
+        fields = [(f.alias or n, f.annotation) for m in here for n, f in m.model_fields.items()]
+        inner = [annotation for name, annotation in fields if name == part]
+        chosen = [m for m in here if len(here) > 1 and _kind_of(m) == part]
+        if chosen and not inner:
+            here = chosen
             continue
-        fields = [
-            (f.alias or name, f.annotation) for m in here for name, f in m.model_fields.items()
-        ]
-        inner = [t for name, t in fields if name == part]
-        if inner:
-            here = [m for t in inner for m in _models_in(t)]
-        else:
-            here = [m for m in here if _kind_of(m) == part] or here
-    return [f.alias or name for m in here for name, f in m.model_fields.items()]
+        keys.append(str(part))
+        if isinstance(part, str):
+            known = [name for name, _ in fields]
+            here = [m for annotation in inner for m in _models_in(annotation)]
+    return keys, known
 
 
 def _kind_of(model: type[BaseModel]) -> str | None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import io
+import logging
+import warnings
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +15,11 @@ import tifffile
 from numpy.typing import NDArray
 from PIL import Image
 
-from labrig.config import ImportFrame, ImportManifest, Setup, load
+from labrig.config import ImportFrame, ImportManifest, Setup, Shot, load
 from labrig.errors import ConfigError
-from labrig.plan import Shot
 from labrig.session import SessionWriter
+
+TIFF_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 
 def import_session(
@@ -47,7 +50,7 @@ def import_session(
         "setup": setup.model_dump(mode="json"),
         "imported": True,
         "simulated": False,
-        "shots": [asdict(shot) for shot in shots],
+        "shots": [shot.model_dump() for shot in shots],
     }
     with SessionWriter.create(out, wanted.name, header) as session:
         for number, (shot, frame, pixels) in enumerate(
@@ -102,15 +105,19 @@ def _read(manifest: Path, frame: ImportFrame) -> NDArray[np.uint16]:
     path = manifest.parent / frame.file
     where = f"{manifest}: frame {frame.file}"
     try:
-        picture = (
-            tifffile.imread(path) if path.suffix in {".tif", ".tiff"} else _read_by_pillow(path)
-        )
+        encoded = path.read_bytes()
     except FileNotFoundError as error:
         msg = f"{where} does not exist; mend the path, which is relative to the manifest."
         raise ConfigError(msg) from error
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        msg = f"{where} is no readable PNG, TIFF or BMP ({error}); is the file complete?"
-        raise ConfigError(" ".join(msg.split())) from error
+    except OSError as error:
+        msg = f"{where} cannot be read ({error.strerror}); mend it."
+        raise ConfigError(msg) from error
+    try:
+        picture = _decode(encoded)
+    except Exception as error:  # the decoders have no common base for what a broken file raises
+        reason = " ".join(str(error).split()) or type(error).__name__
+        msg = f"{where} is no readable PNG, TIFF or BMP ({reason}); is the file complete?"
+        raise ConfigError(msg) from error
     if picture.ndim == 3 and picture.shape[2] in (2, 3, 4):
         colours = picture[..., : 1 if picture.shape[2] == 2 else 3]
         if (colours != colours[..., :1]).any():
@@ -126,11 +133,27 @@ def _read(manifest: Path, frame: ImportFrame) -> NDArray[np.uint16]:
     return np.ascontiguousarray(picture, dtype=np.uint16)
 
 
-def _read_by_pillow(path: Path) -> NDArray[Any]:
-    with Image.open(path) as image:
-        if image.mode == "P":  # the usual form of a grey BMP
-            return np.asarray(image.convert("RGB"))
-        return np.asarray(image)
+def _decode(encoded: bytes) -> NDArray[Any]:
+    """Return the pixels of a TIFF, PNG or BMP; both decoders refuse what is cut or damaged."""
+    file = io.BytesIO(encoded)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        if encoded[:4] in TIFF_MAGIC:
+            return np.asarray(_read_tiff(file))
+        with Image.open(file, formats=("PNG", "BMP")) as image:
+            image.verify()  # the checksum of every PNG chunk
+        with Image.open(file, formats=("PNG", "BMP")) as image:
+            # A palette is the usual form of a grey BMP.
+            return np.asarray(image.convert("RGB") if image.mode == "P" else image)
+
+
+def _read_tiff(file: io.BytesIO) -> NDArray[Any]:
+    log = logging.getLogger("tifffile")
+    heard, log.disabled = log.disabled, True  # what it complains of, it also raises
+    try:
+        return np.asarray(tifffile.imread(file))
+    finally:
+        log.disabled = heard
 
 
 def _refuse_misfits(

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from calibration.hdr import Radiance, merge
 from calibration.model import CameraModel
-from labrig.config import Setup
+from labrig.config import Setup, Shot, parse
 from labrig.errors import AnalysisRefusedError
-from labrig.plan import Shot
 from labrig.session import Session
 
 Array = NDArray[np.float64]
@@ -69,13 +68,10 @@ def linearise(session: Session, setup: Setup) -> Mapping[str, Radiance]:
         raise AnalysisRefusedError(msg)
     camera = setup.camera.record()
     by_picture: dict[str, list[Shot]] = defaultdict(list)
-    for record in session.shots:
-        shot = Shot.from_json(record)
+    for shot in _shots(session):
         by_picture[shot.role if shot.shift is None else f"{shot.role}-{shot.shift}"].append(shot)
     darks = _dark_levels(session, by_picture.pop("dark", []), camera)
-    if not any(name.startswith("stripes") for name in by_picture):
-        msg = f"session {session.path.name} holds no stripe pictures; nothing can be separated."
-        raise AnalysisRefusedError(msg)
+    _shift_names(session)
     return {
         name: merge(
             [session.read(shot.id) for shot in shots],
@@ -97,6 +93,12 @@ def rectify(radiances: Mapping[str, Radiance], session: Session, setup: Setup) -
         If a shift of the stripes is missing, or lengths are given in mm but no scale.
     """
     shifts = _shift_names(session)
+    sizes = {radiance.value.shape for radiance in radiances.values()}
+    if len(sizes) > 1:
+        msg = (
+            f"session {session.path.name} holds pictures of {sorted(sizes)} px; all must be equal."
+        )
+        raise AnalysisRefusedError(msg)
     notes = _notes(session, setup, radiances)
     unit, pixel = ("mm", setup.geometry.mm_per_px) if setup.geometry.mm_per_px else ("px", 1.0)
     if unit == "px" and (setup.tank or setup.beam or setup.projection):
@@ -155,10 +157,25 @@ def _dark_levels(session: Session, darks: list[Shot], camera: CameraModel) -> di
     return {exposure_s: float(np.mean(found)) for exposure_s, found in levels.items()}
 
 
+def _shots(session: Session) -> list[Shot]:
+    source = f"session {session.path.name}"
+    return [parse(r, Shot, source=f"{source}: shot {r['id']!r}") for r in session.shots]
+
+
 def _shift_names(session: Session) -> list[str]:
-    stripes = [s for s in map(Shot.from_json, session.shots) if s.role == "stripes"]
-    n = stripes[0].shifts or 0
-    have = {s.shift for s in stripes}
+    stripes = [shot for shot in _shots(session) if shot.role == "stripes"]
+    series = {shot.shifts for shot in stripes if shot.shifts is not None}
+    if not stripes:
+        msg = f"session {session.path.name} holds no stripe pictures; nothing can be separated."
+        raise AnalysisRefusedError(msg)
+    if len(series) != 1:
+        msg = (
+            f"session {session.path.name} holds {len(series)} series of stripes; one whose shifts "
+            "cover a period is needed to separate."
+        )
+        raise AnalysisRefusedError(msg)
+    n = series.pop()
+    have = {shot.shift for shot in stripes}
     absent = sorted(set(range(n)) - have)
     if absent:
         msg = (
@@ -212,7 +229,7 @@ def _notes(session: Session, setup: Setup, radiances: Mapping[str, Radiance]) ->
         )
     if "white" not in radiances:
         notes.append("There is no white picture: no closure, and no fit without separation.")
-    roles = {shot["role"] for shot in session.shots}
+    roles = {shot.role for shot in _shots(session)}
     if "dark" not in roles:
         notes.append("There are no dark frames: the declared black level is the offset.")
     if "flat" in roles:

@@ -5,50 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
-from labrig.config import Pattern, Plan, Rig, Role, StripesPattern
+from labrig.config import Pattern, Plan, Rig, Shot, StripesPattern
 from labrig.errors import PlanError
 from labrig.patterns import Image, digest, draw
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Shot:
-    """One picture to be taken.
-
-    ``shift`` k of ``shifts`` N: the stripes moved by k/N of their period; both None for the
-    others. ``pattern`` is the digest of the projector image, None if the projector is off or the
-    picture was made elsewhere.
-    """
-
-    id: str
-    set: str
-    role: Role
-    group: str
-    exposure_s: float
-    repeat: int = 0
-    shift: int | None = None
-    shifts: int | None = None
-    pattern: str | None = None
-    shutter: str = "open"
-
-    @classmethod
-    def from_json(cls, record: Mapping[str, Any]) -> Shot:
-        """Return the shot that ``asdict`` wrote.
-
-        Raises
-        ------
-        PlanError
-            If a field is missing or unknown.
-        """
-        names = {f.name for f in fields(cls)}
-        if not set(record) <= names or not {"id", "set", "role", "group", "exposure_s"} <= set(
-            record
-        ):
-            msg = f"shot {record.get('id', '?')!r} has keys {sorted(record)}, not {sorted(names)}."
-            raise PlanError(msg)
-        return cls(**record)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +66,7 @@ def _shifts(pattern: Pattern) -> list[tuple[int | None, int | None]]:
 
 
 def _digest(shots: list[Shot]) -> str:
-    canonical = json.dumps([asdict(shot) for shot in shots], sort_keys=True, allow_nan=False)
+    canonical = json.dumps([shot.model_dump() for shot in shots], sort_keys=True, allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()
 
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from labrig.config import Plan, Setup, StripesConfig
+from labrig.config import Plan, Setup, Shot, StripesConfig
 from labrig.errors import RunError
-from labrig.plan import CapturePlan, Shot, expand, stripes_of
+from labrig.plan import CapturePlan, expand, stripes_of
 from labrig.rig import OpenRig
 from labrig.session import SessionWriter
 
@@ -45,7 +44,7 @@ def capture(
         "setup": setup_of(plan, rig).model_dump(mode="json"),
         "devices": rig.snapshot(),
         "simulated": True,
-        "shots": [asdict(shot) for shot in expanded.shots],
+        "shots": [shot.model_dump() for shot in expanded.shots],
     }
     with SessionWriter.create(out, plan.name, header, patterns=expanded.images) as session:
         for number, shot in enumerate(expanded.shots, start=1):

@@ -18,7 +18,7 @@ from analysis.errors import AnalysisError
 from analysis.inversion import Inversion, invert
 from analysis.light_field import BounceField, Grid
 from analysis.medium import Beam, Medium, Tank
-from analysis.profile import DepthProfile, depth_profile, measure_beam
+from analysis.profile import WHOLE, DepthProfile, depth_profile, measure_beam
 from analysis.separation import (
     Separation,
     separate_extrema,
@@ -120,14 +120,25 @@ def attenuate(separated: Separated, pictures: Pictures, setup: Setup, config: An
     beam = beam.within(tank)
     margin = max(_period(setup), 0.05 * (beam.to_mm - beam.from_mm))
 
-    def profile(picture: Array, variance: Array) -> DepthProfile:
-        return depth_profile(picture, variance, pictures.pixel, beam, margin_mm=margin)
+    def profile(
+        picture: Array, variance: Array, detected: NDArray[np.bool_] | None = None
+    ) -> DepthProfile:
+        return depth_profile(
+            picture, variance, pictures.pixel, beam, margin_mm=margin, detected=detected
+        )
+
+    def of_single(found: Separation) -> DepthProfile:
+        # Only least squares with a known pattern is signed, and so unbiased below the noise.
+        signed = found.method == "known-pattern"
+        return profile(
+            found.single, found.single_variance, detected=None if signed else found.detected
+        )
 
     def fit(of: DepthProfile) -> Attenuation:
         return fit_attenuation(of, config.depth_range_mm)
 
-    single = profile(separated.best.single, separated.best.single_variance)
-    extrema = profile(separated.extrema.single, separated.extrema.single_variance)
+    single = of_single(separated.best)
+    extrema = of_single(separated.extrema)
     white = None
     if pictures.white is not None and pictures.white_variance is not None:
         white = profile(pictures.white, pictures.white_variance)
@@ -185,6 +196,8 @@ def explain(
     grid = table.grid
     multiple, count = grid.average(separated.best.multiple, pictures.pixel)
     variance, _ = grid.average(separated.best.multiple_variance, pictures.pixel)
+    valid, _ = grid.average(np.isfinite(separated.best.multiple).astype(float), pictures.pixel)
+    multiple = np.where(valid >= WHOLE, multiple, np.nan)
     found = invert(multiple, variance / np.maximum(count, 1.0), decay.attenuation, table)
     medium = Medium(
         sigma_t_per_mm=decay.attenuation.sigma_t_per_mm,

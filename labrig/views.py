@@ -15,9 +15,10 @@ Array = NDArray[np.float64]
 
 BEAM_MARGIN = 0.05  # share of the beam left out at each edge, as in the measured profiles
 LIT_SHARE = 0.08  # pictures on the solver's nodes are shown where they are as bright as this
-GLYPH_REACH = 0.48  # of the distance between sampling points
+GLYPH_REACH = 0.47  # of the distance between sampling points
+LINES = 32  # lines across the beam that are averaged
 FINER = 8  # points of a curve per node
-RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,6 +80,7 @@ class DecayView:
     rms_relative : rms residual as a share of the fit, None if there is no fit
     """
 
+    title: str
     depth: Array
     value: Array
     std: Array
@@ -141,34 +143,16 @@ def scale_c(result: Result) -> float:
     return float(result.attributes["scale_c"])
 
 
-def decay(result: Result, name: str, *, of: str | None) -> DecayView:
-    """Return the light of a profile, ``single`` or ``white``, and its exponential.
-
-    Parameters
-    ----------
-    of : the alternative whose extinction this is; None for the chosen one
-    """
-    depth, value, std, fit = (
-        result.fields[f"{name}_{what}"].values
-        for what in ("depth", "profile", "profile_std", "profile_fit")
-    )
-    unit, run = length_unit(result), result.run
-    found = (run if of is None else run.get("alternatives", {}).get(of, {})).get(
-        f"sigma_t_per_{unit}"
-    )
-    quality = run.get("quality", {}).get("attenuation" if of is None else f"attenuation_{of}", {})
-    whole = (float(depth[0]), float(depth[-1]))
-    low, high = quality.get("depth_range", whole)
-    return DecayView(
-        depth=depth,
-        value=value,
-        std=std,
-        fit=fit,
-        fitted=(float(low), float(high)),
-        sigma_t="" if found is None else with_std(found["value"], found["std"]),
-        rms_relative=quality.get("rms_relative"),
-        unit=unit,
-    )
+def decays(result: Result) -> list[DecayView]:
+    """Return the light against depth that was measured, with its exponential (Fig. 11)."""
+    return [
+        _decay(result, name, title, of)
+        for name, title, of in (
+            ("white", "without separation", "unseparated"),
+            ("single", "single scattering", None),
+        )
+        if f"{name}_profile" in result.fields
+    ]
 
 
 def along_beam(result: Result) -> tuple[Array, Array]:
@@ -181,17 +165,19 @@ def along_beam(result: Result) -> tuple[Array, Array]:
     start, end, angle = (
         float(result.attributes[name]) for name in ("beam_from", "beam_to", "beam_angle_rad")
     )
-    entry = y[:, None] - x[None, :] * math.tan(angle)
     margin = BEAM_MARGIN * (end - start)
-    inside = (entry > start + margin) & (entry < end - margin)
-    if not inside[:, 0].any():  # a beam narrower than a node: its nearest row
-        inside = np.abs(entry - 0.5 * (start + end)) <= 0.5 * (y[1] - y[0])
-    rows = inside.sum(axis=0)
-    held = int(np.argmin(rows > 0)) if (rows == 0).any() else rows.size
-    total = np.where(inside, result.fields["fluence"].values, 0.0).sum(axis=1)
+    entry = np.linspace(start + margin, end - margin, LINES)[:, None]
+    row = (entry + x * math.tan(angle) - y[0]) / (y[1] - y[0])  # (lines, n_x), in nodes
+    inside = (row >= 0.0) & (row <= y.size - 1)
+    below = np.clip(row.astype(np.int64), 0, y.size - 2)
+    share = np.clip(row - below, 0.0, 1.0)
+    fluence, column = result.fields["fluence"].values, np.arange(x.size)
+    line = (1.0 - share) * fluence[:, below, column] + share * fluence[:, below + 1, column]
+    held = int(inside.any(axis=0).cumprod().sum())
+    total = np.where(inside, line, 0.0).sum(axis=1)[:, :held] / inside.sum(axis=0)[:held]
     depth = x[:held] / math.cos(angle)
     fine = np.linspace(depth[0], depth[-1], FINER * (held - 1) + 1)
-    spline = make_interp_spline(depth, total[:, :held] / rows[:held], k=min(3, held - 1), axis=1)
+    spline = make_interp_spline(depth, total, k=min(3, held - 1), axis=1)
     return fine, scale_c(result) * np.asarray(spline(fine))
 
 
@@ -212,9 +198,21 @@ def mean_cosine(result: Result, bounce: int) -> float:
     return float((light * np.cos(to_beam)).sum() / light.sum()) if light.sum() > 0.0 else 0.0
 
 
-def lit_part(pictures: list[Picture]) -> NDArray[np.bool_]:
-    """Return where any of the pictures is bright enough to be worth a look, (rows, cols)."""
-    return np.any([p.values > LIT_SHARE * p.values.max() for p in pictures], axis=0)
+def lit_part(pictures: list[Picture], *, squarish: bool = False) -> NDArray[np.bool_]:
+    """Return where any of the pictures is bright enough to be worth a look, (rows, cols).
+
+    Parameters
+    ----------
+    squarish : go deeper until the part is nearly as wide as it is high
+    """
+    lit = np.any([p.values > LIT_SHARE * np.nanmax(p.values) for p in pictures], axis=0)
+    if squarish and lit.any():
+        part, x = pictures[0].around(lit), pictures[0].x
+        _, _, bottom, top = part.extent
+        lit[:, (x >= part.x[0]) & (x <= part.x[0] + 0.9 * (bottom - top))] |= lit.any(axis=1)[
+            :, None
+        ]
+    return np.asarray(lit)
 
 
 def glyphs(result: Result, bounce: int, part: Picture, pitch: float) -> tuple[Array, list[Array]]:
@@ -223,17 +221,18 @@ def glyphs(result: Result, bounce: int, part: Picture, pitch: float) -> tuple[Ar
     Points without light have no glyph and are left out.
     """
     theta, light = result.fields["theta"].values, _radiance(result, bounce)
-    left, right, bottom, top = part.extent
+    x, y = result.fields["x"].values, result.fields["y"].values
     middle = 0.5 * (float(result.attributes["beam_from"]) + float(result.attributes["beam_to"]))
-    rows = _coarse(middle, pitch, top, bottom, result.fields["y"].values)
-    cols = _coarse(left + 0.5 * pitch, pitch, left, right, result.fields["x"].values)
+    left, right, bottom, top = part.extent
+    rows = _coarse(y, middle, pitch, (top, bottom))
+    cols = _coarse(x, left + 0.55 * pitch, pitch, (left, right))
     points, outlines = [], []
     for row in rows:
         for col in cols:
             radiance = light[row, col].astype(np.float64)
             if not radiance.max() > 0.0:
                 continue
-            at = (float(result.fields["x"].values[col]), float(result.fields["y"].values[row]))
+            at = (float(x[col]), float(y[row]))
             points.append(at)
             outlines.append(glyph(theta, radiance, at, GLYPH_REACH * pitch))
     return np.array(points).reshape(-1, 2), outlines
@@ -249,7 +248,7 @@ def with_std(value: float, std: float | None) -> str:
     power = math.floor(math.log10(size)) if size > 0.0 else 0
     if not -4 <= power < 6:
         scaled = with_std(value / 10.0**power, None if std is None else std / 10.0**power)
-        return f"({scaled})·10{str(power).translate(RAISED)}"
+        return f"({scaled})·10{str(power).translate(_RAISED)}"
     if not std or not math.isfinite(std):
         return f"{value:.4g} ± —".replace("-", "−")
     first = math.floor(math.log10(std))
@@ -257,13 +256,70 @@ def with_std(value: float, std: float | None) -> str:
     return f"{value:.{decimals}f} ± {std:.{decimals}f}".replace("-", "−")
 
 
+def positive(values: Array) -> Array:
+    """Return values fit for a logarithmic axis: NaN in place of what is not positive."""
+    with np.errstate(invalid="ignore"):
+        return np.where(values > 0.0, values, np.nan)
+
+
+def brightest(values: Array) -> float:
+    """Return the top of a scale: the brightest but for one pixel in a thousand."""
+    finite = values[np.isfinite(values)]
+    top = float(np.percentile(finite, 99.9)) if finite.size else 0.0
+    return top if top > 0.0 else 1.0
+
+
+def reach(values: Array, share: float = 99.0) -> float:
+    """Return the end of a symmetric scale that holds ``share`` percent of the values."""
+    finite = np.abs(values[np.isfinite(values)])
+    return (float(np.percentile(finite, share)) if finite.size else 0.0) or 1.0
+
+
+def root_ticks(top: float) -> list[float]:
+    """Return round values that a square-root scale spaces about evenly."""
+    shares = [top * (n / 5.0) ** 2 for n in range(1, 6)]
+    return [0.0, *(float(f"{share:.1g}") for share in shares)]
+
+
+def power_of_ten(value: float, _position: int | None = None) -> str:
+    """Return 1, 2 or 5 times a power of ten as plain text."""
+    power = math.floor(math.log10(value) + 1e-9)
+    lead = round(value / 10.0**power)
+    return ("" if lead == 1 else f"{lead}·") + f"10{str(power).translate(_RAISED)}"
+
+
+def _decay(result: Result, name: str, title: str, of: str | None) -> DecayView:
+    """Return a profile and its fit; ``of`` names the alternative it belongs to, if it is one."""
+    depth, value, std, fit = (
+        result.fields[f"{name}_{what}"].values
+        for what in ("depth", "profile", "profile_std", "profile_fit")
+    )
+    unit, run = length_unit(result), result.run
+    holder = run if of is None else run.get("alternatives", {}).get(of, {})
+    found = holder.get(f"sigma_t_per_{unit}")
+    quality = run.get("quality", {}).get("attenuation" if of is None else f"attenuation_{of}", {})
+    low, high = quality.get("depth_range", (depth[0], depth[-1]))
+    return DecayView(
+        title=title,
+        depth=depth,
+        value=value,
+        std=std,
+        fit=fit,
+        fitted=(float(low), float(high)),
+        sigma_t="" if found is None else with_std(found["value"], found["std"]),
+        rms_relative=quality.get("rms_relative"),
+        unit=unit,
+    )
+
+
 def _radiance(result: Result, bounce: int) -> NDArray[np.float32]:
     place = int(np.flatnonzero(result.fields["scattered_bounce"].values == bounce)[0])
     return np.asarray(result.fields["light_field"].values[place])
 
 
-def _coarse(start: float, pitch: float, low: float, high: float, nodes: Array) -> list[int]:
-    """Return the nodes nearest to ``start + n pitch``, a glyph's radius off the edges."""
-    first = math.ceil((low + 0.5 * pitch - start) / pitch - 1e-6)
-    last = math.floor((high - 0.5 * pitch - start) / pitch + 1e-6)
-    return [int(np.abs(nodes - (start + n * pitch)).argmin()) for n in range(first, last + 1)]
+def _coarse(nodes: Array, start: float, pitch: float, limits: tuple[float, float]) -> list[int]:
+    """Return evenly spaced nodes through ``start``, most of a glyph's radius off the limits."""
+    step = max(1, round(pitch / float(nodes[1] - nodes[0])))
+    first = int(np.abs(nodes - start).argmin()) % step
+    low, high = limits[0] + 0.45 * pitch, limits[1] - 0.45 * pitch
+    return [n for n in range(first, nodes.size, step) if low <= nodes[n] <= high]

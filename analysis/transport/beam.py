@@ -33,7 +33,7 @@ def ballistic_fluence(
 
 
 @njit(cache=True, nogil=True)
-def integrate_strip(  # pragma: no cover - compiled
+def integrate_strip(
     x: float,
     y: float,
     cos_t: float,
@@ -85,7 +85,7 @@ def integrate_strip(  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True)
-def _fill_second_bounce(  # pragma: no cover - compiled
+def _fill_second_bounce(
     x: Array,
     y: Array,
     theta: Array,

@@ -143,7 +143,7 @@ def _lattice(n_dimensions: int) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _wall_distance(  # pragma: no cover - compiled
+def _wall_distance(
     x: float, y: float, cos_t: float, sin_t: float, depth: float, width: float
 ) -> float:
     """Return the way from (x, y) along a direction to the wall, mm."""
@@ -160,7 +160,7 @@ def _wall_distance(  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True)
-def _score_ray(  # pragma: no cover - compiled
+def _score_ray(
     origin: tuple[float, float, float],
     direction: tuple[float, float, float],
     cell: tuple[float, float],
@@ -225,7 +225,7 @@ def _score_ray(  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True)
-def _follow(  # pragma: no cover - compiled
+def _follow(
     medium: Array,
     tank: Array,
     beam: Array,

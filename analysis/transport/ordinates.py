@@ -101,7 +101,7 @@ def sweep(source: Array, theta_rad: Array, grid: Grid, sigma_t_per_mm: float, ou
 
 
 @njit(cache=True, nogil=True)
-def _cubic_weights(  # pragma: no cover - compiled
+def _cubic_weights(
     position: float,
 ) -> tuple[float, float, float, float]:
     """Return the Lagrange weights of nodes 0, 1, 2, 3 for a point at ``position``."""
@@ -110,9 +110,7 @@ def _cubic_weights(  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True)
-def _interpolate(  # pragma: no cover - compiled
-    line: Array, start: int, stride: int, n: int, position: float
-) -> float:
+def _interpolate(line: Array, start: int, stride: int, n: int, position: float) -> float:
     """Return the cubic through a strided line of n nodes at a fractional node position."""
     first = min(max(math.floor(position) - 1, 0), n - 4)
     w0, w1, w2, w3 = _cubic_weights(position - first)
@@ -123,7 +121,7 @@ def _interpolate(  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True)
-def _exponential_moments(tau: float) -> tuple[float, float, float]:  # pragma: no cover - compiled
+def _exponential_moments(tau: float) -> tuple[float, float, float]:
     """Return the integrals of x^k exp(-tau x) over 0 .. 1 for k = 0, 1, 2."""
     if tau < 0.3:
         # The closed forms cancel here; the series reaches rounding in a dozen terms.
@@ -141,7 +139,7 @@ def _exponential_moments(tau: float) -> tuple[float, float, float]:  # pragma: n
 
 
 @njit(cache=True, nogil=True)
-def _sweep(  # pragma: no cover - compiled
+def _sweep(
     source: Array,
     theta: Array,
     shape: tuple[int, int],
@@ -165,7 +163,7 @@ def _sweep(  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True)
-def _march(  # pragma: no cover - compiled
+def _march(
     source: Array,
     start: int,
     strides: tuple[int, int],

@@ -134,7 +134,8 @@ class Picture:
             if abs(coefficient) > 1e-12:
                 wave = np.exp(2j * np.pi * harmonic * carried / period_mm)
                 total = total + 2.0 * (coefficient * wave * answer).real
-        return np.asarray(total)
+        # A cut series with the noise of a Monte Carlo may undershoot; light cannot.
+        return np.asarray(np.maximum(total, 0.0))
 
     def _coefficients(self, levels: Array) -> list[complex]:
         """Return the Fourier coefficients of one period: the mean and each of HARMONICS.

@@ -96,7 +96,7 @@ def cache_folder() -> Path:
 def _read(path: Path) -> SampledField | None:
     """Return what was kept, None if the file is damaged: it is only a cache."""
     try:
-        with np.load(path, allow_pickle=False) as kept:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
             return SampledField(**{f.name: kept[f.name] for f in fields(SampledField)})
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None

@@ -15,6 +15,7 @@ def profile_of(value: np.ndarray, std: float, depth: np.ndarray) -> DepthProfile
         value=value,
         std=np.full(depth.size, std),
         n_rows=np.full(depth.size, 100),
+        detected_share=np.ones(depth.size),
     )
 
 

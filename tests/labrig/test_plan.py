@@ -1,16 +1,15 @@
 """Plans expand to the same shots every time, and patterns are what they say."""
 
-from dataclasses import asdict
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 import labrig
-from labrig.config import parse
-from labrig.errors import PlanError
+from labrig.config import Shot, parse
+from labrig.errors import ConfigError, PlanError
 from labrig.patterns import draw
-from labrig.plan import Shot, expand, stripes_of
+from labrig.plan import expand, stripes_of
 
 FOLDER = labrig.config_folder()
 
@@ -72,9 +71,9 @@ def test_stripes_that_do_not_fit_the_projector_are_refused(expanded):
 
 def test_shots_read_back_as_they_were_written(expanded):
     shot = expanded.shots[3]
-    assert Shot.from_json(asdict(shot)) == shot
-    with pytest.raises(PlanError, match="has keys"):
-        Shot.from_json({**asdict(shot), "extra": 1})
+    assert parse(shot.model_dump(), Shot, source="here") == shot
+    with pytest.raises(ConfigError, match="'extra' is unknown"):
+        parse({**shot.model_dump(), "extra": 1}, Shot, source="here")
 
 
 def test_a_plan_without_stripes_cannot_open_a_simulated_rig():

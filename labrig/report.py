@@ -1,0 +1,347 @@
+"""Writes a result as one self-contained page of HTML, its figures also as PNG and PDF."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from labrig import figures
+from labrig.errors import SessionError
+from labrig.results import Result
+from labrig.views import length_unit, with_std
+
+UNKNOWN = "—"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parameter:
+    """A row of the table of parameters, as text; ``base`` and ``index`` make the symbol."""
+
+    name: str
+    base: str
+    index: str
+    measured: str
+    unit: str
+    truth: str
+    deviation: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Extinction:
+    """A way to sigma_t beside the others, as text."""
+
+    source: str
+    sigma_t: str
+    scale_c: str
+    against_chosen: str
+    against_truth: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plate:
+    """A figure of the page, its picture as base64 text of a PNG."""
+
+    name: str
+    title: str
+    caption: str
+    png: str
+
+
+CAPTIONS = {
+    "separation": (
+        "Single and multiple scattering",
+        "One of the captured stripe pictures, and single and multiple scattering separated from "
+        "all of them, on one square-root scale. No stripe should be left in (b) and (c); single "
+        "scattering should end at the edges of the beam, multiple scattering reach beyond them.",
+    ),
+    "closure": (
+        "Closure",
+        "Single plus multiple scattering against the white picture, which was captured on its own, "
+        "where that is above 5 % of its brightest. Noise alone gives a histogram around zero and "
+        "no pattern in the map, which shows means over blocks of pixels.",
+    ),
+    "attenuation": (
+        "Attenuation along the beam",
+        "Light against depth with the exponential fitted to it over the shaded depths, and the "
+        "residual relative to the fit. Light without separation bends away from an exponential, "
+        "for it holds multiple scattering; single scattering should leave no trend.",
+    ),
+    "bounces": (
+        "Bounce by bounce",
+        "Each bounce as computed with the parameters found, averaged across the beam. The peaks "
+        "move inwards from order to order; the sum of all should meet the measured white light.",
+    ),
+    "light-field": (
+        "Light field of the bounces",
+        "Colour is the light of a bounce; a glyph is the radiance by direction at its cross, drawn "
+        "relative to its own maximum. A long lobe is light of one direction, a circle around the "
+        "cross is isotropic light. The mean cosine to the beam falls as the direction is lost.",
+    ),
+    "residual": (
+        "What the model leaves",
+        "Multiple scattering as measured, as bounces two and up explain it, and the difference. "
+        "Structure in (c) is light that the model or the separation puts in the wrong place.",
+    ),
+}
+
+
+def write_report(
+    result: Result, out: Path | None = None, truth: Mapping[str, float] | None = None
+) -> Path:
+    """Write ``report.html``, and ``figures/`` with a PNG and a PDF of each; return the page.
+
+    Parameters
+    ----------
+    out : folder to write into; else the result's own
+    truth : true parameters by their names in run.json, as a simulated scene knows them
+
+    Raises
+    ------
+    SessionError
+        If the place cannot be written.
+    """
+    folder = out or result.path
+    try:
+        (folder / "figures").mkdir(parents=True, exist_ok=True)
+        plates = []
+        for name, figure in figures.all_figures(result).items():
+            png = base64.b64encode(figures.save(figure, folder / "figures" / name)).decode("ascii")
+            title, caption = CAPTIONS[name]
+            plates.append(Plate(name=name, title=title, caption=caption, png=png))
+        page = folder / "report.html"
+        page.write_text(render(result, plates, truth or {}), encoding="utf-8")
+    except OSError as error:
+        reason = error.strerror or str(error)
+        msg = f"{folder}: the report cannot be written ({reason}); name another place with --out."
+        raise SessionError(msg) from error
+    return page
+
+
+def render(result: Result, plates: list[Plate], truth: Mapping[str, float]) -> str:
+    """Return the page as HTML."""
+    environment = Environment(
+        loader=PackageLoader("labrig"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    run, unit = result.run, length_unit(result)
+    provenance = dict(run.get("provenance", {}))
+    return environment.get_template("report.html").render(
+        session=run.get("session", {}),
+        **_headline(run),
+        unit=unit,
+        parameters=list(_parameters(run, unit, truth)),
+        with_truth=bool(truth),
+        remarks=list(_remarks(run, unit)),
+        uncertainty=run.get("uncertainty", ""),
+        methods=_methods(run, unit),
+        alternatives=list(_extinctions(run, unit, truth)),
+        notes=run.get("notes", []),
+        plates=plates,
+        quality=list(_quality(run.get("quality", {}), unit)),
+        seconds=run.get("seconds", {}),
+        result_id=run.get("id", result.path.name),
+        schema=run.get("schema", UNKNOWN),
+        software=provenance.pop("software", {}),
+        hashes={key: provenance.pop(key) for key in list(provenance) if key.endswith("sha256")},
+        records={
+            key: json.dumps(value, indent=2, ensure_ascii=False)
+            for key, value in provenance.items()
+            if value is not None
+        },
+    )
+
+
+def _methods(run: Mapping[str, Any], unit: str) -> dict[str, str]:
+    """Return model and methods; of a run that stopped after the separation only that."""
+    methods = run.get("method", {})
+    if f"sigma_t_per_{unit}" in run:
+        return {**run.get("model", {}), **methods}
+    return {"separation": methods.get("separation", UNKNOWN)}
+
+
+def _headline(run: Mapping[str, Any]) -> dict[str, str]:
+    """Return name and date of the session from its id, and the date of the analysis from its."""
+    identity = str(run.get("session", {}).get("id", "session"))
+    found = re.fullmatch(r"(\d{4}-\d\d-\d\d_\d{6})_(.+)_[0-9a-f]{4}", identity)
+    stamp = re.match(r"\d{8}-\d{6}", str(run.get("id", "")))
+    return {
+        "title": found[2] if found else identity,
+        "captured": _date(found[1], "%Y-%m-%d_%H%M%S") if found else "",
+        "analysed": _date(stamp[0], "%Y%m%d-%H%M%S") if stamp else "",
+    }
+
+
+def _date(text: str, form: str) -> str:
+    try:
+        moment = datetime.strptime(text, form).replace(tzinfo=UTC)
+    except ValueError:
+        return text
+    return f"{moment.day} {moment:%B %Y, %H:%M} UTC"
+
+
+def _parameters(
+    run: Mapping[str, Any], unit: str, truth: Mapping[str, float]
+) -> Iterator[Parameter]:
+    """Yield the parameters that were found or are known, absorption beside them."""
+    per_length = f"{unit}⁻¹"
+    sigma_t, sigma_s = f"sigma_t_per_{unit}", f"sigma_s_per_{unit}"
+    known, found = dict(truth), dict(run)
+    if sigma_t in run and sigma_s in run:
+        found["absorption"] = {"value": run[sigma_t]["value"] - run[sigma_s]["value"], "std": None}
+    if sigma_t in truth and sigma_s in truth:
+        known["absorption"] = truth[sigma_t] - truth[sigma_s]
+    rows = {
+        sigma_t: ("extinction", "σ", "t", per_length),
+        sigma_s: ("scattering", "σ", "s", per_length),
+        "absorption": ("absorption, σₜ − σₛ", "σ", "a", per_length),
+        "g": ("asymmetry", "g", "", ""),
+        "scale_c": ("scale of the camera", "c", "", "counts/s"),
+    }
+    for key in truth:
+        rows.setdefault(key, (key, "", "", ""))
+    for key, (name, base, index, of) in rows.items():
+        value, true = found.get(key), known.get(key)
+        if value is None and true is None:
+            continue
+        yield Parameter(
+            name=name,
+            base=base,
+            index=index,
+            measured=UNKNOWN if value is None else with_std(value["value"], value["std"]),
+            unit=of,
+            truth=UNKNOWN if true is None else f"{true:.5g}".replace("-", "−"),
+            deviation=UNKNOWN
+            if value is None or true is None
+            else _off(value["value"], true, relative=key != "g"),
+        )
+
+
+def _off(value: float, true: float, *, relative: bool = True) -> str:
+    """Return how far a value lies off, in percent where that has a meaning."""
+    if relative and true:
+        return f"{100.0 * (value / true - 1.0):+.2g} %".replace("-", "−")
+    return f"{value - true:+.2g}".replace("-", "−")
+
+
+def _remarks(run: Mapping[str, Any], unit: str) -> Iterator[str]:
+    """Yield what must be known to read the table: missing and too small standard deviations."""
+    quality = run.get("quality", {})
+    missing = [
+        name
+        for name, key in (
+            ("σₜ", f"sigma_t_per_{unit}"),
+            ("c", "scale_c"),
+            ("σₛ", f"sigma_s_per_{unit}"),
+            ("g", "g"),
+        )
+        if key in run and run[key]["std"] is None
+    ]
+    if missing:
+        limit = quality.get("inversion", {}).get("at_limit")
+        why = (
+            "the fit stopped at the end of its range"
+            if limit
+            else "the noise of the pictures is not known, so none could be carried through the fit"
+        )
+        yield f"No std of {', '.join(missing)} ({UNKNOWN}): {why}."
+    if f"sigma_s_per_{unit}" in run:
+        yield (
+            f"Absorption is a difference; it has no std ({UNKNOWN}), for how its two terms vary "
+            "together is not recorded."
+        )
+    chi2 = quality.get("attenuation", {}).get("chi2_per_dof")
+    if chi2 is not None and chi2 > 2.0:
+        yield (
+            f"χ² per degree of freedom is {_chi2(chi2)} in the fit of σₜ: its residuals exceed the "
+            "noise, and the error is larger than the std."
+        )
+
+
+def _extinctions(
+    run: Mapping[str, Any], unit: str, truth: Mapping[str, float]
+) -> Iterator[Extinction]:
+    """Yield sigma_t as found from the chosen separation and from the alternatives."""
+    key = f"sigma_t_per_{unit}"
+    if key not in run:
+        return
+    others = run.get("alternatives", {})
+    method = run.get("method", {}).get("separation", UNKNOWN)
+    for source, found in (
+        (f"single scattering, {method} (chosen)", run),
+        ("single scattering, extrema (Eq. 7)", others.get("extrema")),
+        ("light without separation", others.get("unseparated")),
+    ):
+        if found is None:
+            yield Extinction(
+                source=source,
+                sigma_t=UNKNOWN,
+                scale_c=UNKNOWN,
+                against_chosen="no exponential could be fitted",
+                against_truth=UNKNOWN,
+            )
+            continue
+        value = found[key]["value"]
+        yield Extinction(
+            source=source,
+            sigma_t=with_std(value, found[key]["std"]),
+            scale_c=with_std(found["scale_c"]["value"], found["scale_c"]["std"]),
+            against_chosen="" if found is run else _off(value, run[key]["value"]),
+            against_truth=_off(value, truth[key]) if key in truth else UNKNOWN,
+        )
+
+
+def _quality(quality: Mapping[str, Any], unit: str) -> Iterator[tuple[str, str]]:
+    """Yield what was checked and what came out, as text."""
+    for key, name in (
+        ("saturated_fraction", "pixels saturated in every exposure"),
+        ("detected_fraction", "pixels with single scattering above the noise"),
+        ("direct_share_median", "share of single scattering, median of the pixels"),
+    ):
+        if quality.get(key) is not None:
+            yield name, f"{100.0 * quality[key]:.3g} %"
+    for key, name in (
+        ("mean", "closure, mean"),
+        ("median", "closure, median"),
+        ("p16", "closure, 16th percentile"),
+        ("p84", "closure, 84th percentile"),
+    ):
+        if quality.get("closure", {}).get(key) is not None:
+            yield name, f"{100.0 * quality['closure'][key]:+.2g} %".replace("-", "−")
+    if quality.get("additivity") is not None:
+        text = f"{100.0 * quality['additivity']:+.2g} %".replace("-", "−")
+        yield "additivity, (pattern + inverse) / (white + black) − 1", text
+    for key, name in (
+        ("attenuation", "exponential of single scattering"),
+        ("attenuation_unseparated", "exponential without separation"),
+    ):
+        if key in quality:
+            fit = quality[key]
+            low, high = fit["depth_range"]
+            yield (
+                name,
+                f"rms residual {100.0 * fit['rms_relative']:.2g} %, χ² per degree of freedom "
+                f"{_chi2(fit['chi2_per_dof'])}, fitted from {low:.4g} to {high:.4g} {unit}",
+            )
+    if "inversion" in quality:
+        fit = quality["inversion"]
+        limit = "stopped at the end of its range" if fit["at_limit"] else "ended inside its range"
+        yield (
+            "inversion",
+            f"rms residual {100.0 * fit['rms_relative']:.2g} % of the multiple scattering, {limit}",
+        )
+        yield "light in the last bounce computed", f"{100.0 * fit['last_bounce_share']:.2g} %"
+
+
+def _chi2(value: float) -> str:
+    return f"{value:.3g}" if value < 1000.0 else f"{value:.0f}"

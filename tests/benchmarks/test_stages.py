@@ -1,0 +1,95 @@
+"""What each stage costs: `make bench`. In `make test` each runs once, at toy size."""
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.light_field import Grid
+from analysis.medium import Beam, Medium, Tank
+from analysis.separation import separate_extrema, separate_known
+from analysis.transport.montecarlo import simulate
+from analysis.transport.ordinates import fluence_of, march
+from calibration.hdr import merge
+from calibration.model import CameraModel
+from calibration.projector import stripe_light
+from labrig.session import SessionWriter
+
+CAMERA = CameraModel(
+    bits=12, black_level_dn=16.0, white_level_dn=4095.0, gain_dn_per_e=0.28, read_noise_e=10.9
+)
+BRACKET = (0.01, 0.02, 0.04, 0.08)
+MEDIUM = Medium(sigma_t_per_mm=0.2051, sigma_s_per_mm=0.9 * 0.2051, g=0.4)
+TANK, BEAM = Tank(depth_mm=100.0, width_mm=75.0), Beam(from_mm=25.0, to_mm=50.0)
+
+
+@pytest.fixture
+def shape(benchmark) -> tuple[int, int]:
+    """One megapixel, or a stamp where nothing is timed."""
+    return (24, 32) if benchmark.disabled else (1000, 1000)
+
+
+def test_merge_of_four_exposures(benchmark, shape):
+    rng = np.random.default_rng(1)
+    frames = [rng.integers(0, 4096, shape).astype(np.uint16) for _ in BRACKET]
+    merge(frames, BRACKET, (16.0,) * 4, CAMERA)
+    benchmark(merge, frames, BRACKET, (16.0,) * 4, CAMERA)
+
+
+@pytest.mark.parametrize("method", ["known-pattern", "extrema"])
+def test_separation_of_six_shifts(benchmark, shape, method):
+    net = np.random.default_rng(1).random((6, *shape))
+    pattern = stripe_light(
+        np.arange(shape[0])[:, None] * 0.7,
+        period_px=12.0,
+        duty=0.5,
+        n_shifts=6,
+        blur_px=0.5,
+        pixel_px=0.7,
+    )
+    if method == "extrema":
+        benchmark(separate_extrema, net, net)
+    else:
+        benchmark(separate_known, net, net, pattern)
+
+
+def test_canonical_tank_by_ordinates(benchmark):
+    """Orders 1 to 8 at 1 mm nodes and 64 angles, and how often one could copy the light field."""
+    cell_mm = 10.0 if benchmark.disabled else 1.0
+    grid = Grid.covering(TANK, cell_mm=cell_mm, n_theta=64)
+
+    def orders() -> list[np.ndarray]:
+        return [fluence_of(light) for light in march(MEDIUM, BEAM, grid, n_bounces=8)]
+
+    orders()
+    benchmark(orders)
+    if benchmark.enabled:
+        light = np.ones((8, grid.n_y, grid.n_x, 64))
+        begin = time.process_time()
+        light.copy()
+        copied_s = time.process_time() - begin
+        ratio = benchmark.stats.stats.median / copied_s
+        print(f"\ncanonical tank: {ratio:.1f} times one copy of its light field")  # noqa: T201
+
+
+def test_canonical_tank_by_monte_carlo(benchmark):
+    n_paths = 160 if benchmark.disabled else 100_000
+
+    def sample() -> np.ndarray:
+        return simulate(
+            MEDIUM, TANK, BEAM, n_bounces=8, n_paths=n_paths, cell_mm=1.0, seed=1
+        ).fluence
+
+    sample()
+    benchmark(sample)
+
+
+def test_commit_of_a_frame(benchmark, shape, tmp_path: Path):
+    n = 3 if benchmark.disabled else 200
+    pixels = np.random.default_rng(1).integers(0, 4096, shape).astype(np.uint16)
+    shots = [{"id": f"shot-{k}"} for k in range(n)]
+    names = iter(shot["id"] for shot in shots)
+    with SessionWriter.create(tmp_path, "bench", {"shots": shots}) as session:
+        benchmark.pedantic(lambda: session.commit(next(names), 1, pixels, {}), rounds=n - 1)
+        session.close()
