@@ -23,7 +23,8 @@ from labrig import importing as _importing
 from labrig import pipeline as _pipeline
 from labrig import rig as _rig
 from labrig import runner as _runner
-from labrig.config import Analysis, Plan, Rig, Scene, config_folder
+from labrig.config import config_folder
+from labrig.models import Analysis, Plan, Rig, Scene
 from labrig.pipeline import Until
 from labrig.results import Result, read_results
 from labrig.rig import OpenRig

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import labrig
-from labrig.config import Scene, config_folder
+from labrig.config import config_folder
+from labrig.models import Scene
 
 Counted = Callable[[str, int, int], None]
 

@@ -88,13 +88,11 @@ def separation_figure(result: Result) -> Figure:
     # the square root shows the weak light beside the beam, which a linear scale swallows
     top = max(views.brightest(picture.values) for picture in pictures)
     norm = PowerNorm(0.5, 0.0, top, clip=True)
-    figure, panels = _panels(pictures[0], 3, columns=3, bars_in=1.15)
+    figure, panels = _panels(pictures[0], 3, bars=(False, False, True))
     for panel, picture, title in zip(panels, pictures, names.values(), strict=True):
-        image = _show(panel, picture, norm, "cividis")
+        image = _show(panel, picture, norm)
         panel.set_title(title)
-    panels[0].set_ylabel(f"y ({pictures[0].unit})")
-    bar = figure.colorbar(image, ax=panels, pad=0.015, ticks=views.root_ticks(top))
-    bar.set_label("counts/s, square-root scale")
+    _bar(figure, panels[-1], image, "counts/s, square-root scale", ticks=views.root_ticks(top))
     return figure
 
 
@@ -104,16 +102,16 @@ def closure_figure(result: Result) -> Figure:
     gap = views.picture(result, "closure")
     percent = 100.0 * gap.values[np.isfinite(gap.values)].astype(np.float64)
     part = gap.around(np.isfinite(gap.values)).reduced(CLOSURE_PX)
-    width = min(2.9 / part.aspect, 4.2)
+    width = min(2.9 / part.aspect, 3.4)
     figure = Figure(figsize=(WIDTH_IN, 3.7), layout="constrained")
     where, spread = figure.subplots(1, 2, width_ratios=(width, WIDTH_IN - 2.5 - width))
-    where.set(title="(a) where", ylabel=f"y ({part.unit})")
+    where.set(title="(a) where", xlabel=f"depth x ({part.unit})", ylabel=f"y ({part.unit})")
     spread.set(title="(b) how much", xlabel="(single + multiple) / white − 1 (%)", ylabel="pixels")
     if percent.size == 0:
         where.text(0.5, 0.5, "no pixel is bright enough", ha="center", transform=where.transAxes)
         return figure
     shown = Picture(values=100.0 * part.values, y=part.y, x=part.x, unit=part.unit)
-    image = _show(where, shown, _symmetric(shown), "RdBu_r")
+    image = _show(where, shown)
     figure.colorbar(image, ax=where, label="closure (%)", extend="both", pad=0.02, shrink=0.9)
     _histogram(spread, percent)
     return figure
@@ -173,21 +171,16 @@ def light_field_figure(result: Result) -> Figure:
     parts = [picture.around(lit) for picture in pictures]
     left, right, bottom, top = parts[0].extent
     pitch = min(right - left, bottom - top) / 5.0
-    figure, panels = _panels(parts[0], len(shown), columns=2, bars_in=1.7)
+    figure, panels = _panels(parts[0], len(shown), bars=(True, True), foot_in=0.32)
     for panel, k, part in zip(panels, shown, parts, strict=True):
-        image = _show(panel, part, Normalize(0.0, views.brightest(part.values)), "cividis")
+        image = _show(panel, part, Normalize(0.0, views.brightest(part.values)))
         image.set_interpolation("bilinear")
-        bar = figure.colorbar(image, ax=panel, pad=0.02, ticks=MaxNLocator(5))
-        bar.set_label("light (counts/s)")
+        _bar(figure, panel, image, "light (counts/s)", ticks=MaxNLocator(5))
         panel.set_title(f"bounce {k}: mean cosine to the beam {views.mean_cosine(result, k):.2f}")
-        if panel in panels[:-2]:
-            panel.set_xlabel("")
         _draw_glyphs(panel, *views.glyphs(result, k, part, pitch))
         panel.set(xlim=(left, right), ylim=(bottom, top))
-    for panel in panels[::2]:
-        panel.set_ylabel(f"y ({parts[0].unit})")
     keys = panels[0].get_legend_handles_labels()
-    figure.legend(*keys, loc="outside lower center", ncols=2, columnspacing=3.0)
+    figure.legend(*keys, loc="lower center", ncols=2, columnspacing=3.0)
     return figure
 
 
@@ -203,15 +196,12 @@ def residual_figure(result: Result) -> Figure:
     lit = views.lit_part(pictures[:2])
     measured, model, rest = (picture.around(lit) for picture in pictures)
     norm = Normalize(0.0, max(views.brightest(picture.values) for picture in (measured, model)))
-    figure, panels = _panels(measured, 3, columns=3, bars_in=1.75)
-    shared = _show(panels[0], measured, norm, "cividis")
-    _show(panels[1], model, norm, "cividis")
-    figure.colorbar(shared, ax=panels[:2], label="light (counts/s)", pad=0.015)
-    shown = _show(panels[2], rest, _symmetric(rest), "RdBu_r")
-    figure.colorbar(shown, ax=panels[2], label="light (counts/s)", pad=0.03, extend="both")
+    figure, panels = _panels(measured, 3, bars=(False, True, True))
+    _show(panels[0], measured, norm)
+    _bar(figure, panels[1], _show(panels[1], model, norm), "light (counts/s)")
+    _bar(figure, panels[2], _show(panels[2], rest), "light (counts/s)", extend="both")
     for panel, title in zip(panels, whole, strict=True):
         panel.set_title(title)
-    panels[0].set_ylabel(f"y ({measured.unit})")
     return figure
 
 
@@ -261,37 +251,56 @@ def _settle(figure: Figure) -> None:
         figure.set_layout_engine(None)
 
 
-def _panels(like: Picture, n: int, *, columns: int, bars_in: float) -> tuple[Figure, list[Axes]]:
-    """Return a figure with n panels in columns, high enough for pictures like the one given.
+def _panels(
+    like: Picture, n: int, *, bars: tuple[bool, ...], foot_in: float = 0.0
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure with n panels of the shape of a picture, with the axes' units.
+
+    Their places are reckoned here: a layout engine takes as long as all the drawing.
 
     Parameters
     ----------
-    bars_in : width that colour bars and their labels take, inches
+    bars : of each column, whether a colour bar stands right of it
+    foot_in : room for a legend, inches
     """
-    rows = math.ceil(n / columns)
-    width = (WIDTH_IN - 0.9 - bars_in) / columns
-    height = 0.5 + rows * (0.42 + width * min(like.aspect, 1.6))
-    figure = Figure(figsize=(WIDTH_IN, height), layout="compressed")
-    every = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
-    for panel in every[n:]:
-        panel.remove()
-    for panel in every[max(0, n - columns) : n]:
-        panel.tick_params(labelbottom=True)
-    return figure, list(every[:n])
+    columns, room = len(bars), [1.15 if bar else 0.28 for bar in bars]
+    free = WIDTH_IN - 0.75 - sum(room)
+    width = min(free / columns, 6.0 / like.aspect)
+    high = width * like.aspect
+    height = math.ceil(n / columns) * (high + 0.4) + 0.5 + foot_in
+    figure = Figure(figsize=(WIDTH_IN, height))
+    panels: list[Axes] = []
+    for index in range(n):
+        row, column = divmod(index, columns)
+        x = 0.75 + 0.5 * (free - columns * width) + column * width + sum(room[:column])
+        y = height - (row + 1) * (high + 0.4)
+        place = (x / WIDTH_IN, y / height, width / WIDTH_IN, high / height)
+        first = panels[0] if panels else None
+        panel = figure.add_axes(place, sharex=first, sharey=first)
+        lowest = index + columns >= n
+        panel.tick_params(labelleft=column == 0, labelbottom=lowest)
+        panel.set_xlabel(f"depth x ({like.unit})" if lowest else "")
+        panel.set_ylabel(f"y ({like.unit})" if column == 0 else "")
+        panels.append(panel)
+    return figure, panels
 
 
-def _show(panel: Axes, picture: Picture, norm: Normalize, colours: str) -> AxesImage:
-    """Show a picture with the lit face left and rows running down, axes in its unit."""
+def _bar(figure: Figure, panel: Axes, image: AxesImage, label: str, **looks: Any) -> None:
+    """Put a colour bar of the panel's height right of it."""
+    place = panel.get_position()
+    beside = figure.add_axes((place.x1 + 0.1 / WIDTH_IN, place.y0, 0.14 / WIDTH_IN, place.height))
+    figure.colorbar(image, cax=beside, label=label, **looks)
+
+
+def _show(panel: Axes, picture: Picture, norm: Normalize | None = None) -> AxesImage:
+    """Show a picture with the lit face left and rows running down; without norm, a difference."""
+    colours, reach = "cividis" if norm else "RdBu_r", views.reach(picture.values)
+    norm = norm or Normalize(-reach, reach)
     image = panel.imshow(picture.values, norm=norm, cmap=colours, extent=picture.extent)
-    panel.set(xlabel=f"depth x ({picture.unit})", facecolor=BAD)
+    panel.set_facecolor(BAD)
     panel.spines[["top", "right"]].set_visible(True)
     panel.locator_params(nbins=5)
     return image
-
-
-def _symmetric(picture: Picture) -> Normalize:
-    reach = views.reach(picture.values)
-    return Normalize(-reach, reach)
 
 
 def _logarithmic(panel: Axes, low: float, high: float) -> None:
@@ -315,7 +324,7 @@ def _histogram(panel: Axes, percent: Array) -> None:
     label = f"16–84 %: {text[2]} to {text[3]} %"
     panel.axvspan(low, high, 0.0, 0.8, color=SKY, alpha=0.3, linewidth=0, label=label)
     panel.set(xlim=(-reach, reach), ylim=(0.0, max(float(counts.max()), 1.0) / 0.77))
-    panel.legend(loc="upper center", ncols=2, columnspacing=1.2, handlelength=1.6)
+    panel.legend(loc="upper center", ncols=2, columnspacing=1.2, handlelength=1.4)
 
 
 def _draw_decay(panel: Axes, decay: DecayView) -> None:

@@ -15,8 +15,9 @@ import tifffile
 from numpy.typing import NDArray
 from PIL import Image
 
-from labrig.config import ImportFrame, ImportManifest, Setup, Shot, load
+from labrig.config import load
 from labrig.errors import ConfigError
+from labrig.models import ImportFrame, ImportManifest, Setup, Shot
 from labrig.session import SessionWriter
 
 TIFF_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")

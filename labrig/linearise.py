@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from calibration.hdr import Radiance, merge
 from calibration.model import CameraModel
-from labrig.config import Setup, Shot, parse
+from labrig.config import parse
 from labrig.errors import AnalysisRefusedError
+from labrig.models import Setup, Shot
 from labrig.session import Session
 
 Array = NDArray[np.float64]

@@ -7,8 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
-from labrig.config import Analysis, Setup, parse
+from labrig.config import parse
 from labrig.linearise import linearise, rectify
+from labrig.models import Analysis, Setup
 from labrig.record import Outcome, fields_of, run_of
 from labrig.results import Result, read_results, write_results
 from labrig.session import Session

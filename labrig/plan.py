@@ -7,8 +7,8 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from labrig.config import Pattern, Plan, Rig, Shot, StripesPattern
 from labrig.errors import PlanError
+from labrig.models import Pattern, Plan, Rig, Shot, StripesPattern
 from labrig.patterns import Image, digest, draw
 
 

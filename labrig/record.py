@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from analysis.attenuation import Attenuation
 from analysis.profile import DepthProfile
 from analysis.separation import closure
-from labrig.config import Analysis, Setup
 from labrig.linearise import Pictures
+from labrig.models import Analysis, Setup
 from labrig.results import Field
 from labrig.session import Session
 from labrig.steps import Decay, Explained, Separated
@@ -188,9 +188,9 @@ def _additivity(pictures: Pictures) -> float | None:
 
 
 def _bright(white: Array) -> NDArray[np.bool_]:
-    """Return where closure means something: the white light above 5 percent of its brightest."""
+    """Return where closure means something: the white light above a fifth of its brightest."""
     with np.errstate(invalid="ignore"):
-        return np.asarray(white > 0.05 * np.nanpercentile(white, 99.5))
+        return np.asarray(white > 0.2 * np.nanpercentile(white, 99.5))
 
 
 def _median(values: Array) -> float | None:
@@ -228,7 +228,7 @@ def _pictures(outcome: Outcome, dims: tuple[str, str], *, suffix: str) -> dict[s
             dims=dims,
             values=gap.astype(np.float32),
             unit="1",
-            meaning="(single + multiple)/white - 1 where white is above 5 % of its brightest",
+            meaning="(single + multiple)/white - 1 where white is above a fifth of its brightest",
         )
     return fields
 

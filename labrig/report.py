@@ -138,6 +138,7 @@ def render(result: Result, plates: list[Plate], truth: Mapping[str, float]) -> s
     provenance = dict(run.get("provenance", {}))
     return environment.get_template("report.html").render(
         session=run.get("session", {}),
+        simulated=bool(run.get("session", {}).get("simulated")),
         **_headline(run),
         unit=unit,
         parameters=list(_parameters(run, unit, truth)),

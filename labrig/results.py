@@ -128,6 +128,9 @@ def read_results(path: Path) -> Result:
     except (OSError, ValueError, KeyError, RuntimeError) as error:
         msg = f"{folder}: results are damaged ({' '.join(str(error).split())}); analyse again."
         raise SessionError(msg) from error
+    if not isinstance(run, dict) or run.get("schema") != SCHEMA:
+        msg = f"{folder}: run.json is no {SCHEMA}; analyse again with this version."
+        raise SessionError(msg)
     return Result(path=folder, run=run, fields=fields, attributes=attributes)
 
 

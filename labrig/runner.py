@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from labrig.config import Plan, Setup, Shot, StripesConfig
 from labrig.errors import RunError
+from labrig.models import Plan, Setup, Shot, StripesConfig
 from labrig.plan import CapturePlan, expand, stripes_of
 from labrig.rig import OpenRig
 from labrig.session import SessionWriter

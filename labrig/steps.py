@@ -28,9 +28,9 @@ from analysis.separation import (
 )
 from analysis.transport.ordinates import solve
 from calibration.projector import stripe_light
-from labrig.config import Analysis, Setup, StripesConfig
 from labrig.errors import AnalysisRefusedError
 from labrig.linearise import Pictures
+from labrig.models import Analysis, Setup, StripesConfig
 
 Array = NDArray[np.float64]
 

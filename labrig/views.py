@@ -244,12 +244,13 @@ def with_std(value: float, std: float | None) -> str:
     Two digits of the std where it begins with 1 or 2, else one; four significant digits of the
     value and a dash where it is unknown.
     """
+    std = std if std and math.isfinite(std) else None
     size = max(abs(value), std or 0.0)
     power = math.floor(math.log10(size)) if size > 0.0 else 0
     if not -4 <= power < 6:
         scaled = with_std(value / 10.0**power, None if std is None else std / 10.0**power)
         return f"({scaled})·10{str(power).translate(_RAISED)}"
-    if not std or not math.isfinite(std):
+    if std is None:
         return f"{value:.4g} ± —".replace("-", "−")
     first = math.floor(math.log10(std))
     decimals = max(0, -first + (1 if std / 10.0**first < 2.95 else 0))

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.special import erf
 
-from labrig.config import Rig, Scene
 from labrig.errors import RunError
+from labrig.models import Rig, Scene
 from labrig.patterns import Image
 from labrig.scene.response import HARMONICS, TankResponse
 

@@ -13,8 +13,9 @@ import pytest
 from pydantic import BaseModel, ValidationError
 
 import labrig
-from labrig.config import SCHEMAS, Analysis, ImportManifest, Plan, Rig, Scene, json_schema, load
+from labrig.config import SCHEMAS, json_schema, load
 from labrig.errors import ConfigError
+from labrig.models import Analysis, ImportManifest, Plan, Rig, Scene
 
 BY_FOLDER: dict[str, type[Any]] = {
     "plans": Plan,

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import labrig
-from labrig.config import Shot, parse
+from labrig.config import parse
 from labrig.errors import ConfigError, PlanError
+from labrig.models import Shot
 from labrig.patterns import draw
 from labrig.plan import expand, stripes_of
 
