@@ -8,7 +8,7 @@ Every estimator takes the stripe pictures with the black picture subtracted:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -147,6 +147,33 @@ def separate_harmonic(net: Array, variance: Array, *, contrast: float, duty: flo
         np.asarray(np.isfinite(net).all(axis=0)),
         (single, mean / duty - single),
         (single_variance, mean_variance / duty**2 + single_variance),
+    )
+
+
+def as_if_white(separation: Separation, *, low: float, high: float, duty: float) -> Separation:
+    """Return what stripes between two levels say of fully lit stripes between dark and white.
+
+    Stripes of light ``low`` and ``high``, shares of white, are ``net = (high - low) D p + ...``:
+    ``D' = D / (high - low)``, ``G' = (G duty - low D') / (low + (high - low) duty)``.
+
+    Raises
+    ------
+    AnalysisError
+        Unless 0 <= low < high <= 1.
+    """
+    if not 0.0 <= low < high <= 1.0:
+        msg = f"stripes between {low} and {high} of white; 0 <= low < high <= 1 is needed."
+        raise AnalysisError(msg)
+    span, mean = high - low, low + (high - low) * duty
+    single = separation.single / span
+    single_variance = separation.single_variance / span**2
+    return replace(
+        separation,
+        single=single,
+        single_variance=single_variance,
+        multiple=(separation.multiple * duty - low * single) / mean,
+        multiple_variance=(separation.multiple_variance * duty**2 + low**2 * single_variance)
+        / mean**2,
     )
 
 

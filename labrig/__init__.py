@@ -14,21 +14,23 @@ Everything the command line does is one call of this module:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 
 from labrig import config as _config
 from labrig import importing as _importing
 from labrig import pipeline as _pipeline
+from labrig import results as _results
 from labrig import rig as _rig
 from labrig import runner as _runner
+from labrig import session as _session
 from labrig.config import config_folder
 from labrig.models import Analysis, Plan, Rig, Scene
 from labrig.pipeline import Until
-from labrig.results import Result, read_results
+from labrig.results import Result
 from labrig.rig import OpenRig
-from labrig.session import Problem, Session, verify
+from labrig.session import Problem, Session
 
 __all__ = [
     "Analysis",
@@ -75,6 +77,28 @@ def load_scene(path: StrPath) -> Scene:
 def load_analysis(path: StrPath) -> Analysis:
     """Read an analysis file; raise `labrig.errors.ConfigError` naming file and key."""
     return _config.load(Path(path), Analysis)
+
+
+def read_results(path: StrPath) -> Result:
+    """Read a results folder, or the newest one of a session folder.
+
+    Raises
+    ------
+    labrig.errors.SessionError
+        If there are none, or they are damaged.
+    """
+    return _results.read_results(Path(path))
+
+
+def verify(session: StrPath, *, progress: Counted | None = None) -> list[Problem]:
+    """Check every file of a session; a whole session has no problems.
+
+    Raises
+    ------
+    labrig.errors.SessionError
+        If the folder is no session.
+    """
+    return _session.verify(Path(session), progress)
 
 
 def open_rig(
@@ -145,22 +169,19 @@ def analyse(
 def report(
     result: Result | StrPath,
     out: StrPath | None = None,
-    *,
-    truth: Mapping[str, float] | None = None,
 ) -> Path:
     """Write figures and a self-contained HTML report; return the path of the page.
 
     Parameters
     ----------
     result : a result, its folder, or a session folder (its newest result)
-    truth : true parameters by their names in run.json; else those of a simulated session
 
     Raises
     ------
     labrig.errors.SessionError
         If there are no results, or they are damaged.
     """
-    from labrig.report import write_report  # noqa: PLC0415 - matplotlib takes a second to load
+    from labrig.report_page import write_report  # noqa: PLC0415 - matplotlib takes a second to load
 
     found = result if isinstance(result, Result) else read_results(Path(result))
-    return write_report(found, None if out is None else Path(out), truth)
+    return write_report(found, None if out is None else Path(out), found.run.get("truth"))

@@ -82,6 +82,8 @@ def run(arguments: list[str]) -> int:
         where = f"{error.filename}: " if error.filename else ""
         return _fail(f"{where}{error.strerror or error}", EXIT_DEVICE)
     except (KeyboardInterrupt, typer.Abort):
+        code = EXIT_INTERRUPTED
+    if code == EXIT_INTERRUPTED:  # typer returns it where it was first to hear Ctrl-C
         return _fail("interrupted; what was saved stays saved.", EXIT_INTERRUPTED)
     return code if isinstance(code, int) else 0
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import labrig
 from labrig.config import config_folder
-from labrig.models import Scene
 
 Counted = Callable[[str, int, int], None]
 
@@ -60,19 +59,9 @@ def run(
         progress=lambda stage: follow("analyse")(stages.index(stage), len(stages)),
     )
     follow("analyse")(len(stages), len(stages))
-    truth = truth_of(milk)
-    page = labrig.report(result, truth=truth)
+    page = labrig.report(result)
     parameters = {
         name: Recovered(truth=true, value=result.run[name]["value"], std=result.run[name]["std"])
-        for name, true in truth.items()
+        for name, true in result.run["truth"].items()
     }
     return Demo(parameters=parameters, session=session, report=page)
-
-
-def truth_of(scene: Scene) -> dict[str, float]:
-    """Return a scene's parameters by their names in run.json."""
-    return {
-        "sigma_t_per_mm": scene.medium.sigma_t_per_mm,
-        "sigma_s_per_mm": scene.medium.sigma_s_per_mm,
-        "g": scene.medium.g,
-    }

@@ -156,9 +156,8 @@ def bounces_figure(result: Result) -> Figure:
     shape.set(title="(b) each relative to its peak", ylabel="light / its peak", ylim=(0.0, 1.05))
     for panel in (light, shape):
         panel.set_xlabel(f"depth along the beam ({unit})")
-    keys = [panel.get_legend_handles_labels() for panel in (shape, light)]
-    lines, names = (keys[0][n] + keys[1][n] for n in (0, 1))
-    figure.legend(lines, names, loc="outside lower center", ncols=4, handlelength=3.2)
+    keys = [key for panel in (shape, light) for key in panel.get_legend_handles_labels()[0]]
+    figure.legend(handles=keys, loc="outside lower center", ncols=4, handlelength=3.2)
     return figure
 
 
@@ -245,8 +244,7 @@ def png_bytes(figure: Figure) -> bytes:
 
 def _settle(figure: Figure) -> None:
     """Lay a figure out once: to do it for each of its files takes longer than to draw them."""
-    engine = figure.get_layout_engine()
-    if engine is not None:
+    if engine := figure.get_layout_engine():
         engine.execute(figure)
         figure.set_layout_engine(None)
 

@@ -64,7 +64,7 @@ def linearise(session: Session, setup: Setup) -> Mapping[str, Radiance]:
     if session.missing:
         msg = (
             f"session {session.path.name}: {len(session.missing)} of {len(session.shots)} shots "
-            f"are missing ({session.missing[0]} first); capture them before analysing."
+            f"are missing ({session.missing[0]} first); capture it anew."
         )
         raise AnalysisRefusedError(msg)
     camera = setup.camera.record()

@@ -43,8 +43,10 @@ class Model(BaseModel):
     @classmethod
     def _no_truth_values(cls, content: Any) -> Any:
         """Refuse yes, no, on and off, which YAML 1.1 reads as truth and pydantic as one or zero."""
-        if isinstance(content, dict):
-            for key, value in content.items():
+        if not isinstance(content, dict):
+            return content
+        for mapping in (content, *(v for v in content.values() if isinstance(v, dict))):
+            for key, value in mapping.items():
                 if isinstance(value, bool):
                     msg = f"{key} is {str(value).lower()}, a number or a word was expected"
                     raise ValueError(msg)  # noqa: TRY004 - pydantic explains only value errors
@@ -129,6 +131,15 @@ class StripesConfig(Model):
     period_px: Positive = 12
     duty: float = Field(0.5, gt=0.0, lt=1.0)
     profile: Literal["square", "sinusoid"] = "square"
+    low: float = Field(0.0, ge=0.0, lt=1.0, description="light of a dark stripe, share of white")
+    high: float = Field(1.0, gt=0.0, le=1.0, description="light of a lit stripe, share of white")
+
+    @model_validator(mode="after")
+    def _low_is_darker(self) -> StripesConfig:
+        if self.low >= self.high:
+            msg = f"low = {self.low} must be darker than high = {self.high}"
+            raise ValueError(msg)
+        return self
 
 
 class ProjectionConfig(Model):
@@ -219,10 +230,10 @@ class StripesPattern(Model):
 
 
 class UniformPattern(Model):
-    """The whole picture at one level."""
+    """The whole picture white: the light that stripes are compared with."""
 
     kind: Literal["uniform"]
-    level: int = Field(255, ge=0, le=255)
+    level: Literal[255] = 255
 
 
 class BlackPattern(Model):
@@ -249,6 +260,13 @@ class PlanSet(Model):
     pattern: Pattern
     shutter: Literal["open", "covered"] = "open"
     repeats: int = Field(1, ge=1)
+
+    @model_validator(mode="after")
+    def _dark_frames_show_no_stripes(self) -> PlanSet:
+        if self.shutter == "covered" and self.pattern.kind == "stripes":
+            msg = "stripes behind a covered lens; a dark frame has kind black or lamp-off"
+            raise ValueError(msg)
+        return self
 
     @property
     def role(self) -> Role:

@@ -63,18 +63,15 @@ def run_of(outcome: Outcome) -> dict[str, Any]:
             "id": header.get("id", outcome.session.path.name),
             "path": str(outcome.session.path),
             "simulated": bool(header.get("simulated", False)),
+            "imported": bool(header.get("imported", False)),
             "sealed": outcome.session.sealed,
         },
         **parameters,
+        **_truth(header),
         "uncertainty": "std is statistical: camera noise carried through the fits. It does not "
         "hold the bias of the method (low orders that keep the stripes stay in the single image).",
         "length_unit": outcome.pictures.unit,
-        "model": {"geometry": "flatland", "phase": outcome.config.phase},
-        "method": {
-            "separation": outcome.separated.best.method,
-            "attenuation": "Eq. 9, weighted least squares",
-            "inversion": "Eq. 10, least squares on the solver's nodes",
-        },
+        **_model(outcome),
         "alternatives": alternatives,
         "quality": _quality(outcome),
         "notes": notes,
@@ -109,6 +106,28 @@ def fields_of(outcome: Outcome) -> tuple[dict[str, Field], dict[str, Any]]:
     }
 
 
+def _truth(header: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the parameters a simulated scene was made with; nothing for a real session."""
+    medium = (header.get("scene") or {}).get("medium") if header.get("simulated") else None
+    if medium is None:
+        return {}
+    return {"truth": {name: medium[name] for name in ("sigma_t_per_mm", "sigma_s_per_mm", "g")}}
+
+
+def _model(outcome: Outcome) -> dict[str, Any]:
+    separation = {"separation": outcome.separated.best.method}
+    if outcome.explained is None:
+        return {"method": separation}
+    return {
+        "model": {"geometry": "flatland", "phase": outcome.config.phase},
+        "method": {
+            **separation,
+            "attenuation": "Eq. 9, weighted least squares",
+            "inversion": "Eq. 10, least squares on the solver's nodes",
+        },
+    }
+
+
 def _parameters(fit: Attenuation, explained: Explained, unit: str) -> dict[str, Any]:
     found = explained.inversion
     return {
@@ -133,7 +152,9 @@ def _quality(outcome: Outcome) -> dict[str, Any]:
     pictures, best = outcome.pictures, outcome.separated.best
     found: dict[str, Any] = {
         "saturated_fraction": pictures.saturated_fraction,
-        "detected_fraction": float(np.mean(best.detected)),
+        "detected_fraction": float(np.mean(best.detected))
+        if np.isfinite(best.single_variance).any()
+        else None,
         "direct_share_median": _median(
             best.single
             / np.where(best.single + best.multiple > 0, best.single + best.multiple, np.nan)

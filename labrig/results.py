@@ -19,7 +19,7 @@ import h5netcdf
 import numpy as np
 from numpy.typing import NDArray
 
-from labrig.errors import SessionError
+from labrig.errors import RunError, SessionError
 
 SCHEMA = "labrig-run/1"
 
@@ -61,7 +61,7 @@ def write_results(
 
     Raises
     ------
-    SessionError
+    RunError
         If the place cannot be written, as on read-only media; nothing is left behind then.
     """
     stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
@@ -78,7 +78,7 @@ def write_results(
         shutil.rmtree(part, ignore_errors=True)
         reason = error.strerror or str(error)
         msg = f"{parent}: results cannot be written ({reason}); name another place with --out."
-        raise SessionError(msg) from error
+        raise RunError(msg) from error
     return parent / name
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from labrig.errors import RunError
+from labrig.errors import PlanError, RunError
 from labrig.models import Plan, Setup, Shot, StripesConfig
 from labrig.plan import CapturePlan, expand, stripes_of
 from labrig.rig import OpenRig
@@ -110,7 +110,7 @@ def attempt(
 
 def setup_of(plan: Plan, rig: OpenRig) -> Setup:
     """Return what the session must tell the analysis: how the rig saw and lit the tank."""
-    camera = rig.config.camera
+    camera, stripes = rig.config.camera, stripes_of(plan)
     return Setup.model_validate(
         {
             "camera": {
@@ -124,7 +124,9 @@ def setup_of(plan: Plan, rig: OpenRig) -> Setup:
             "geometry": rig.config.geometry.model_dump(),
             "tank": rig.scene.tank.model_dump(),
             "beam": rig.scene.beam.model_dump(),
-            "stripes": StripesConfig(period_px=stripes_of(plan).period_px).model_dump(),
+            "stripes": StripesConfig(
+                period_px=stripes.period_px, low=stripes.low / 255.0, high=stripes.high / 255.0
+            ).model_dump(),
             "projection": rig.config.projection.model_dump(),
         }
     )
@@ -135,7 +137,7 @@ def refuse_impossible(expanded: CapturePlan, rig: OpenRig) -> None:
 
     Raises
     ------
-    RunError
+    PlanError
         If an exposure is outside the camera's range.
     """
     low, high = rig.camera_can.exposure_range_s
@@ -145,4 +147,4 @@ def refuse_impossible(expanded: CapturePlan, rig: OpenRig) -> None:
                 f"plan {expanded.plan.name!r} asks for {shot.exposure_s} s, the camera has "
                 f"{low} .. {high} s; change exposures.bracket_s."
             )
-            raise RunError(msg)
+            raise PlanError(msg)

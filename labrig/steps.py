@@ -21,6 +21,7 @@ from analysis.medium import Beam, Medium, Tank
 from analysis.profile import WHOLE, DepthProfile, depth_profile, measure_beam
 from analysis.separation import (
     Separation,
+    as_if_white,
     separate_extrema,
     separate_harmonic,
     separate_known,
@@ -88,18 +89,22 @@ def separate(pictures: Pictures, setup: Setup, config: Analysis) -> Separated:
     method = config.separation
     if method == "auto":
         method = "known-pattern" if known else "harmonic" if net.shape[0] >= 4 else "extrema"
-    extrema = separate_extrema(net, variance, stripes.duty)
+
+    def white(found: Separation) -> Separation:
+        return as_if_white(found, low=stripes.low, high=stripes.high, duty=stripes.duty)
+
+    extrema = white(separate_extrema(net, variance, stripes.duty))
     if method == "known-pattern":
         if not known:
             msg = "separation known-pattern needs square stripes and a calibrated projection."
             raise AnalysisRefusedError(msg)
         best = separate_known(net, variance, _pattern(setup, pictures), stripes.duty)
-        return Separated(best=best, extrema=extrema, notes=())
+        return Separated(best=white(best), extrema=extrema, notes=())
     if method == "harmonic":
         contrast = 0.5 if stripes.profile == "sinusoid" else square_contrast(stripes.duty)
         best = separate_harmonic(net, variance, contrast=contrast, duty=stripes.duty)
         note = "The stripes' contrast was not calibrated: blur makes single scattering too small."
-        return Separated(best=best, extrema=extrema, notes=(note,))
+        return Separated(best=white(best), extrema=extrema, notes=(note,))
     note = "Separated by extremes over the shifts: noise and blur are not corrected."
     return Separated(best=extrema, extrema=extrema, notes=(note,))
 

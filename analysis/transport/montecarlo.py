@@ -114,10 +114,14 @@ def simulate(
     weight = (beam.to_mm - beam.from_mm) * math.cos(angle) / (n_batch * cell_area)
     with ThreadPoolExecutor(n_threads) as pool:
         batches = [pool.submit(run, batch) for batch in range(N_BATCHES)]
-        for done, finished in enumerate(as_completed(batches), start=1):
-            finished.result()
-            if progress is not None:
-                progress(done, N_BATCHES)
+        try:
+            for done, finished in enumerate(as_completed(batches), start=1):
+                finished.result()
+                if progress is not None:
+                    progress(done, N_BATCHES)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)  # Ctrl-C need not wait for all batches
+            raise
     for finished in batches:  # summed in order, so that a seed gives the same bits every time
         scores, phasors = finished.result()
         total += scores

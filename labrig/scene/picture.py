@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.special import erf
 
-from labrig.errors import RunError
+from labrig.errors import PlanError, RunError
 from labrig.models import Rig, Scene
 from labrig.patterns import Image
 from labrig.scene.response import HARMONICS, TankResponse
@@ -204,7 +204,7 @@ class Picture:
         camera, tank = self._rig.camera, self._scene.tank
         if x + width > camera.cols or y + height > camera.rows:
             msg = f"region_px {list(self._region)} leaves {camera.cols} x {camera.rows} px."
-            raise RunError(msg)
+            raise PlanError(msg)
         along, across = (width, height)
         if self._rig.geometry.lit_side in {"top", "bottom"}:
             along, across = (height, width)
@@ -215,4 +215,4 @@ class Picture:
                 f"the region shows {seen[0]:g} x {seen[1]:g} mm, the scene's tank is "
                 f"{wanted[0]:g} x {wanted[1]:g} mm; mend region_px or the tank."
             )
-            raise RunError(msg)
+            raise PlanError(msg)

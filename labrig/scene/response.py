@@ -22,7 +22,7 @@ from analysis.transport.montecarlo import SampledField, simulate
 from labrig.models import Scene
 
 VERSION = 1  # of the kept files; raise it when the Monte Carlo changes its answer
-HARMONICS = (1, 3)  # of a square wave after a projector's blur; the fifth is below 0.2 percent
+HARMONICS = (1, 3)  # of a square wave after a projector's blur; the fifth adds about 0.2 percent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,6 +5,7 @@ import pytest
 
 from analysis.errors import AnalysisError
 from analysis.separation import (
+    as_if_white,
     closure,
     separate_extrema,
     separate_harmonic,
@@ -90,6 +91,28 @@ def test_closure_of_a_perfect_separation_is_zero():
     gap = closure(found, np.full(found.single.shape, 4e9))
     # measured worst 4e-5: the noise of 1e9 electrons
     assert np.abs(gap).max() < 1e-4
+
+
+def test_stripes_between_two_levels_say_the_same_as_full_ones():
+    pattern = stripe_light(
+        np.linspace(0.0, 12.0, 40)[None],
+        period_px=12.0,
+        duty=0.5,
+        n_shifts=N,
+        blur_px=1.0,
+        pixel_px=0,
+    )
+    low, high = 0.25, 0.8
+    shown = low + (high - low) * pattern
+    net = 70.0 * shown + 30.0 * (low + (high - low) * 0.5)
+    found = separate_known(net, np.ones_like(net), pattern)
+    white = as_if_white(found, low=low, high=high, duty=0.5)
+    # measured worst 2e-14
+    np.testing.assert_allclose(white.single, 70.0, rtol=1e-11)
+    np.testing.assert_allclose(white.multiple, 30.0, rtol=1e-11)
+    assert (white.single_variance > found.single_variance).all()
+    with pytest.raises(AnalysisError, match="0 <= low < high"):
+        as_if_white(found, low=0.8, high=0.8, duty=0.5)
 
 
 def test_saturated_shifts_leave_a_hole_and_not_a_value():

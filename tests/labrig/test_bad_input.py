@@ -431,11 +431,11 @@ def test_results_that_cannot_be_written_are_refused(
     session_copy: Path, small_session: Path, complaint: Complaint
 ) -> None:
     (session_copy / "results").touch()
-    text = complaint("analyse", session_copy, "--until", "separation", code=3)
+    text = complaint("analyse", session_copy, "--until", "separation", code=4)
     assert str(session_copy / "results") in text
     assert "--out" in text
     out = session_copy / "results" / "deeper"
-    assert str(out) in complaint("analyse", small_session, "--out", out, code=3)
+    assert str(out) in complaint("analyse", small_session, "--out", out, code=4)
 
 
 def test_session_that_is_read_only_asks_for_another_place(
@@ -445,7 +445,7 @@ def test_session_that_is_read_only_asks_for_another_place(
         pytest.skip("root may write to read-only folders")
     session_copy.chmod(0o555)
     try:
-        assert "--out" in complaint("analyse", session_copy, "--until", "separation", code=3)
+        assert "--out" in complaint("analyse", session_copy, "--until", "separation", code=4)
         said = command("analyse", session_copy, "--until", "separation", "--out", tmp_path / "out")
         assert said.code == 0
     finally:

@@ -90,3 +90,26 @@ def test_a_plan_without_stripes_cannot_open_a_simulated_rig():
     )
     with pytest.raises(PlanError, match="0 kinds of stripes"):
         stripes_of(plan)
+
+
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        (
+            {"id": "s", "shutter": "covered", "pattern": {"kind": "stripes"}},
+            "behind a covered lens",
+        ),
+        ({"id": "w", "pattern": {"kind": "uniform", "level": 128}}, "255"),
+        ({"id": "o", "pattern": {"kind": False}}, "kind is false, a number or a word"),
+    ],
+)
+def test_sets_that_mean_nothing_are_refused_in_one_line(entry, said):
+    content = {
+        "schema": "labrig-plan/1",
+        "name": "odd",
+        "exposures": {"bracket_s": [0.1]},
+        "sets": [entry],
+    }
+    with pytest.raises(ConfigError, match=said) as caught:
+        parse(content, labrig.Plan, source="here")
+    assert "\n" not in str(caught.value)

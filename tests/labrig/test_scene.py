@@ -7,7 +7,7 @@ import pytest
 
 import labrig
 from labrig.config import parse
-from labrig.errors import RunError
+from labrig.errors import PlanError, RunError
 from labrig.patterns import draw
 from labrig.plan import stripes_of
 from labrig.scene.picture import Picture
@@ -151,7 +151,7 @@ def test_pictures_the_response_does_not_know_are_refused(picture):
         picture.light(
             np.ascontiguousarray(WHITE * (np.arange(720) % 2)[:, None].astype(np.uint8)), 0.0
         )
-    with pytest.raises(RunError, match="the scene's tank is"):
+    with pytest.raises(PlanError, match="the scene's tank is"):
         Picture(
             scene_of(tank={"depth_mm": 30, "width_mm": 15}),
             rig_of(),

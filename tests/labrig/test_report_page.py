@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labrig.errors import SessionError
-from labrig.report import CAPTIONS, render, write_report
+from labrig.errors import RunError
+from labrig.report_page import CAPTIONS, render, write_report
 from labrig.results import Field, Result, read_results, write_results
 
 RUN: dict[str, Any] = {
@@ -169,7 +169,7 @@ def test_report_is_written_where_asked(tmp_path: Path) -> None:
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
-    with pytest.raises(SessionError, match=r"file.*cannot be written.*--out"):
+    with pytest.raises(RunError, match=r"file.*cannot be written.*--out"):
         write_report(result_of(tmp_path, changed()), tmp_path / "file")
 
 

@@ -14,7 +14,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from labrig import figures
-from labrig.errors import SessionError
+from labrig.errors import RunError
 from labrig.results import Result
 from labrig.views import length_unit, with_std
 
@@ -65,8 +65,8 @@ CAPTIONS = {
     "closure": (
         "Closure",
         "Single plus multiple scattering against the white picture, which was captured on its own, "
-        "where that is above 5 % of its brightest. Noise alone gives a histogram around zero and "
-        "no pattern in the map, which shows means over blocks of pixels.",
+        "where that is above a fifth of its brightest. Noise alone gives a histogram around zero "
+        "and no pattern in the map, which shows means over blocks of pixels.",
     ),
     "attenuation": (
         "Attenuation along the beam",
@@ -105,7 +105,7 @@ def write_report(
 
     Raises
     ------
-    SessionError
+    RunError
         If the place cannot be written.
     """
     folder = out or result.path
@@ -121,7 +121,7 @@ def write_report(
     except OSError as error:
         reason = error.strerror or str(error)
         msg = f"{folder}: the report cannot be written ({reason}); name another place with --out."
-        raise SessionError(msg) from error
+        raise RunError(msg) from error
     return page
 
 
@@ -138,7 +138,7 @@ def render(result: Result, plates: list[Plate], truth: Mapping[str, float]) -> s
     provenance = dict(run.get("provenance", {}))
     return environment.get_template("report.html").render(
         session=run.get("session", {}),
-        simulated=bool(run.get("session", {}).get("simulated")),
+        origin=_origin(run.get("session", {})),
         **_headline(run),
         unit=unit,
         parameters=list(_parameters(run, unit, truth)),
@@ -181,6 +181,11 @@ def _headline(run: Mapping[str, Any]) -> dict[str, str]:
         "captured": _date(found[1], "%Y-%m-%d_%H%M%S") if found else "",
         "analysed": _date(stamp[0], "%Y%m%d-%H%M%S") if stamp else "",
     }
+
+
+def _origin(session: Mapping[str, Any]) -> str:
+    """Return whether the pictures were simulated, imported from files, or measured on a rig."""
+    return next((kind for kind in ("simulated", "imported") if session.get(kind)), "measured")
 
 
 def _date(text: str, form: str) -> str:
