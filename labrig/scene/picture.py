@@ -21,6 +21,7 @@ from labrig.scene.response import HARMONICS, TankResponse
 
 Array = NDArray[np.float64]
 
+REACH = 6.0  # standard deviations beyond which a blurred edge is flat, to 1e-9
 SUBPIXELS = 8  # samples of a camera row, across the stripes
 
 
@@ -117,8 +118,12 @@ class Picture:
         jumps = np.diff(levels, prepend=0.0, append=0.0)[edges]
         profile = np.zeros_like(fine)
         scale = 1.0 / (math.sqrt(2.0) * projection.blur_px)
+        reach = REACH * projection.blur_px
         for edge, jump in zip(edges, jumps, strict=True):
-            profile += 0.5 * jump * (1.0 + erf((fine - edge) * scale))
+            first, last = np.searchsorted(fine, (edge - reach, edge + reach))
+            near = fine[first:last] - edge
+            profile[first:last] += 0.5 * jump * (1.0 + erf(near * scale))
+            profile[last:] += jump
         return np.asarray(np.interp(u, fine, profile))
 
     def _multiple(self, levels: Array) -> Array:
@@ -126,7 +131,8 @@ class Picture:
         projection = self._rig.projection
         coefficients = self._coefficients(levels)
         period_mm = self._period_px * projection.mm_per_px
-        carried = self._y_mm[:, None] - self._x_mm[None, :] * self._slope - projection.origin_mm
+        drift = self._x_mm * self._slope if self._slope else np.zeros(1)
+        carried = self._y_mm[:, None] - drift[None, :] - projection.origin_mm
         total = coefficients[0].real * self._answers[0].real
         for harmonic, coefficient, answer in zip(
             HARMONICS, coefficients[1:], self._answers[1:], strict=True
