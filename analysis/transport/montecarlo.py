@@ -21,6 +21,7 @@ from analysis.errors import AnalysisError
 from analysis.medium import Beam, Medium, Tank
 
 Array = NDArray[np.float64]
+Scores = tuple[Array, NDArray[np.complex128]]
 
 N_BATCHES = 16
 NEGLIGIBLE_TRANSMISSION = 1e-5  # a ray is followed until this share of it is left
@@ -88,16 +89,15 @@ def simulate(
     angle = math.radians(beam.angle_deg)
     orders = np.asarray(harmonics, dtype=np.int64)
 
-    def run(batch: int) -> tuple[Array, NDArray[np.complex128]]:
+    def run(batch: int) -> Scores:
         scores = np.zeros((n_bounces - 1, n_y, n_x))
         modulated = np.zeros((n_y, n_x, orders.size), dtype=np.complex128)
-        rng = np.random.default_rng([seed, batch])
         _follow(
             np.array([medium.sigma_t_per_mm, medium.albedo, medium.g]),
             np.array([tank.depth_mm, tank.width_mm]),
             np.array([beam.from_mm, beam.to_mm, angle]),
             n_batch,
-            rng,
+            np.random.default_rng([seed, batch]),
             _lattice(5),
             stripe_wavenumber_per_mm,
             orders,
@@ -106,12 +106,24 @@ def simulate(
         )
         return scores, modulated
 
-    total = np.zeros((n_bounces - 1, n_y, n_x))
-    squares = np.zeros_like(total)
-    modulated = np.zeros((n_y, n_x, orders.size), dtype=np.complex128)
+    batches = _run_all(run, n_threads, progress)
+    scores = np.stack([batch for batch, _ in batches])
     # Irradiance is counted across the beam: a slanted one brings its cosine to the face.
-    cell_area = (tank.depth_mm / n_x) * (tank.width_mm / n_y)
-    weight = (beam.to_mm - beam.from_mm) * math.cos(angle) / (n_batch * cell_area)
+    power = (beam.to_mm - beam.from_mm) * math.cos(angle)
+    weight = power / (n_batch * (tank.depth_mm / n_x) * (tank.width_mm / n_y))
+    return SampledField(
+        fluence=weight * scores.mean(axis=0),
+        std_error=weight * scores.std(axis=0, ddof=1) / math.sqrt(N_BATCHES),
+        modulated=weight * np.moveaxis(np.mean([wave for _, wave in batches], axis=0), -1, 0),
+        x_mm=(np.arange(n_x) + 0.5) * tank.depth_mm / n_x,
+        y_mm=(np.arange(n_y) + 0.5) * tank.width_mm / n_y,
+    )
+
+
+def _run_all(
+    run: Callable[[int], Scores], n_threads: int, progress: Callable[[int, int], None] | None
+) -> list[Scores]:
+    """Run every batch and return them in order, so that a seed gives the same bits every time."""
     with ThreadPoolExecutor(n_threads) as pool:
         batches = [pool.submit(run, batch) for batch in range(N_BATCHES)]
         try:
@@ -122,20 +134,7 @@ def simulate(
         except BaseException:
             pool.shutdown(cancel_futures=True)  # Ctrl-C need not wait for all batches
             raise
-    for finished in batches:  # summed in order, so that a seed gives the same bits every time
-        scores, phasors = finished.result()
-        total += scores
-        squares += scores**2
-        modulated += phasors
-    mean = total / N_BATCHES
-    variance = np.maximum(squares / N_BATCHES - mean**2, 0.0) / (N_BATCHES - 1)
-    return SampledField(
-        fluence=weight * mean,
-        std_error=weight * np.sqrt(variance),
-        modulated=weight / N_BATCHES * np.moveaxis(modulated, -1, 0),
-        x_mm=(np.arange(n_x) + 0.5) * tank.depth_mm / n_x,
-        y_mm=(np.arange(n_y) + 0.5) * tank.width_mm / n_y,
-    )
+    return [finished.result() for finished in batches]
 
 
 def _lattice(n_dimensions: int) -> Array:
