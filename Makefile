@@ -36,7 +36,7 @@ install: .venv/installed
 	    echo "labrig needs Python 3.11 or newer with tkinter, venv and pip; none was found."; \
 	    echo "On Debian: sudo apt-get install python3 python3-tk python3-venv"; exit 1; fi
 	@if [ ! -x $(BIN)/python ]; then echo "labrig: making .venv with $(PYTHON)"; \
-	    $(PYTHON) -m venv .venv || { echo "labrig: no virtual environment could be made; on Debian: sudo apt-get install python3-venv"; exit 1; }; fi
+	    $(PYTHON) -m venv .venv || { rm -rf .venv; echo "labrig: no virtual environment could be made; on Debian: sudo apt-get install python3-venv"; exit 1; }; fi
 	@echo "labrig: installing from requirements.lock (a minute or two, once)"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .

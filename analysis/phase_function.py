@@ -10,6 +10,8 @@ from analysis.medium import Phase
 
 Array = NDArray[np.float64]
 
+UNRESOLVED = 0.01  # |g|^(n_theta/2), the first coefficient left out, must not exceed it
+
 
 def power_removed(g: float, phase: Phase) -> float:
     """Return f0, the integral of the phase function over the circle.

@@ -53,7 +53,7 @@ def separate_extrema(net: Array, variance: Array, duty: float = 0.5) -> Separati
     net, variance : (n_shifts, rows, cols), black subtracted
     duty : lit share of the period
     """
-    _refuse_stack(net, variance, at_least=2)
+    _refuse_stack(net, variance)
     high = np.argmax(net, axis=0)[None]
     low = np.argmin(net, axis=0)[None]
     brightest = np.take_along_axis(net, high, axis=0)[0]
@@ -85,7 +85,7 @@ def separate_known(net: Array, variance: Array, pattern: Array, duty: float = 0.
     AnalysisError
         If the pattern is the same in every picture.
     """
-    _refuse_stack(net, variance, at_least=2)
+    _refuse_stack(net, variance)
     n = net.shape[0]
     mean = pattern.mean(axis=0)
     spread = ((pattern - mean) ** 2).sum(axis=0)
@@ -126,7 +126,7 @@ def separate_harmonic(net: Array, variance: Array, *, contrast: float, duty: flo
         For fewer than four shifts: the second harmonic of a projector's gamma would alias onto
         the first.
     """
-    _refuse_stack(net, variance, at_least=2)
+    _refuse_stack(net, variance)
     n = net.shape[0]
     if n < 4:
         msg = (
@@ -212,10 +212,10 @@ def _separation(
     )
 
 
-def _refuse_stack(net: Array, variance: Array, *, at_least: int) -> None:
-    if net.ndim != 3 or variance.shape != net.shape or net.shape[0] < at_least:
+def _refuse_stack(net: Array, variance: Array) -> None:
+    if net.ndim != 3 or variance.shape != net.shape or net.shape[0] < 2:
         msg = (
             f"stripe pictures of shape {net.shape} with variance {variance.shape}: "
-            f"a stack (n_shifts >= {at_least}, rows, cols) of both is needed."
+            f"a stack (n_shifts >= 2, rows, cols) of both is needed."
         )
         raise AnalysisError(msg)

@@ -94,11 +94,21 @@ def _shots(frames: tuple[ImportFrame, ...], manifest: Path) -> list[Shot]:
                 shifts=frame.shifts,
             )
         )
-    counted = {frame.shifts for frame in frames if frame.role == "stripes"}
+    _refuse_gaps(frames, manifest)
+    return shots
+
+
+def _refuse_gaps(frames: tuple[ImportFrame, ...], manifest: Path) -> None:
+    stripes = [frame for frame in frames if frame.role == "stripes"]
+    counted = {frame.shifts for frame in stripes}
     if len(counted) > 1:
         msg = f"{manifest}: stripes of {sorted(map(str, counted))} shifts; give one series."
         raise ConfigError(msg)
-    return shots
+    n_shifts = counted.pop() if counted else None
+    absent = sorted(set(range(n_shifts or 0)) - {frame.shift for frame in stripes})
+    if absent:
+        msg = f"{manifest}: shift {absent[0]} of {n_shifts} is missing; give all shifts."
+        raise ConfigError(msg)
 
 
 def _read(manifest: Path, frame: ImportFrame) -> NDArray[np.uint16]:
@@ -137,6 +147,9 @@ def _read(manifest: Path, frame: ImportFrame) -> NDArray[np.uint16]:
 def _decode(encoded: bytes) -> NDArray[Any]:
     """Return the pixels of a TIFF, PNG or BMP; both decoders refuse what is cut or damaged."""
     file = io.BytesIO(encoded)
+    if not encoded.startswith((*TIFF_MAGIC, b"\x89PNG", b"BM")):
+        msg = "its first bytes are of another kind"
+        raise ValueError(msg)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         if encoded[:4] in TIFF_MAGIC:

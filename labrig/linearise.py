@@ -29,7 +29,8 @@ class Pictures:
     ----------
     stripes, stripes_variance : (n_shifts, rows, cols), counts/s, black subtracted
     white, white_variance : (rows, cols) likewise; None without white frames
-    black : (rows, cols), what was subtracted, above the dark level; None if nothing was
+    black, black_variance : (rows, cols), what was subtracted, above the dark level; None if
+        nothing was. It is common to all shifts, so its variance is not in theirs
     captured : (rows, cols), the first stripe picture with nothing subtracted
     pixel : side of a pixel, in ``unit``
     unit : "mm", or "px" where the scale is unknown
@@ -42,6 +43,7 @@ class Pictures:
     white: Array | None
     white_variance: Array | None
     black: Array | None
+    black_variance: Array | None
     captured: Array
     pixel: float
     unit: str
@@ -129,6 +131,7 @@ def rectify(radiances: Mapping[str, Radiance], session: Session, setup: Setup) -
         white=white,
         white_variance=white_variance,
         black=black,
+        black_variance=variances(dark_name) if dark_name else None,
         captured=captured,
         pixel=float(pixel or 1.0),
         unit=unit,
@@ -223,10 +226,14 @@ def _notes(session: Session, setup: Setup, radiances: Mapping[str, Radiance]) ->
     if setup.geometry.mm_per_px is None:
         notes.append("The scale of the picture is unknown: lengths are in px.")
     if "black" not in radiances:
-        instead = "the ambient picture" if "ambient" in radiances else "nothing"
+        instead, remains = (
+            ("the ambient picture", "the projector's leak remains")
+            if "ambient" in radiances
+            else ("nothing", "the projector's leak and ambient light remain")
+        )
         notes.append(
-            f"There is no black picture: {instead} was subtracted; the projector's leak, and "
-            "ambient light if nothing was, remain in the multiple scattering."
+            f"There is no black picture: {instead} was subtracted; {remains} in the multiple "
+            "scattering."
         )
     if "white" not in radiances:
         notes.append("There is no white picture: no closure, and no fit without separation.")

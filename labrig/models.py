@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from analysis.medium import Beam, Medium, Tank
+from analysis.phase_function import UNRESOLVED
 from calibration.model import CameraModel
 
 Role = Literal["stripes", "white", "black", "ambient", "dark", "flat"]
@@ -106,6 +107,10 @@ class TankConfig(Model):
 
     depth_mm: Positive
     width_mm: Positive
+
+    def record(self) -> Tank:
+        """Return the analysis' record of this tank."""
+        return Tank(depth_mm=self.depth_mm, width_mm=self.width_mm)
 
 
 class BeamConfig(Model):
@@ -396,12 +401,8 @@ class Scene(Model):
 
     @model_validator(mode="after")
     def _beam_enters(self) -> Scene:
-        self.beam.record().within(self.tank_record())
+        self.beam.record().within(self.tank.record())
         return self
-
-    def tank_record(self) -> Tank:
-        """Return the analysis' record of the tank."""
-        return Tank(depth_mm=self.tank.depth_mm, width_mm=self.tank.width_mm)
 
 
 # --- analyses -----------------------------------------------------------------------------------
@@ -425,6 +426,9 @@ class Analysis(Model):
         low, high = self.g_range
         if not -1.0 < low < high < 1.0:
             msg = f"g_range {[low, high]} is not -1 < low < high < 1"
+            raise ValueError(msg)
+        if max(-low, high) ** (self.n_theta // 2) > UNRESOLVED:
+            msg = f"n_theta = {self.n_theta} angles cannot resolve g_range {[low, high]}; use more"
             raise ValueError(msg)
         if (
             self.depth_range_mm is not None
@@ -463,3 +467,9 @@ class ImportManifest(Setup):
     schema_: Literal["labrig-import/1"] = Field(alias="schema")
     name: str = "import"
     frames: tuple[ImportFrame, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _beam_enters(self) -> ImportManifest:
+        if self.beam is not None and self.tank is not None:
+            self.beam.record().within(self.tank.record())
+        return self

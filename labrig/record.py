@@ -150,15 +150,14 @@ def _with_std(value: float, variance: float) -> dict[str, float | None]:
 
 def _quality(outcome: Outcome) -> dict[str, Any]:
     pictures, best = outcome.pictures, outcome.separated.best
+    together = best.single + best.multiple
+    lit = _bright(together)
     found: dict[str, Any] = {
         "saturated_fraction": pictures.saturated_fraction,
         "detected_fraction": float(np.mean(best.detected))
         if np.isfinite(best.single_variance).any()
         else None,
-        "direct_share_median": _median(
-            best.single
-            / np.where(best.single + best.multiple > 0, best.single + best.multiple, np.nan)
-        ),
+        "direct_share_median": _median(best.single[lit] / together[lit]),
     }
     if pictures.white is not None:
         gap = closure(best, pictures.white)[_bright(pictures.white)]
@@ -208,10 +207,10 @@ def _additivity(pictures: Pictures) -> float | None:
     return _finite(np.nanmean(together[bright] / both[bright] - 1.0))
 
 
-def _bright(white: Array) -> NDArray[np.bool_]:
-    """Return where closure means something: the white light above a fifth of its brightest."""
+def _bright(light: Array) -> NDArray[np.bool_]:
+    """Return where a ratio means something: light above a fifth of its brightest."""
     with np.errstate(invalid="ignore"):
-        return np.asarray(white > 0.2 * np.nanpercentile(white, 99.5))
+        return np.asarray(light > 0.2 * np.nanpercentile(light, 99.5))
 
 
 def _median(values: Array) -> float | None:

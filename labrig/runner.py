@@ -44,6 +44,8 @@ def capture(
         "setup": setup_of(plan, rig).model_dump(mode="json"),
         "devices": rig.snapshot(),
         "simulated": True,
+        "operator": None,
+        "calibration": {},
         "shots": [shot.model_dump() for shot in expanded.shots],
     }
     with SessionWriter.create(out, plan.name, header, patterns=expanded.images) as session:
@@ -103,6 +105,7 @@ def attempt(
         "exposure_reported_s": frame.exposure_s,
         "discarded": discarded,
         "proof": "triggered",
+        "floor_fraction": float(np.mean(frame.pixels == 0)),
         "saturated_fraction": float(np.mean(frame.pixels >= rig.camera_can.white_level_dn)),
     }
     return frame.pixels, details
@@ -138,8 +141,14 @@ def refuse_impossible(expanded: CapturePlan, rig: OpenRig) -> None:
     Raises
     ------
     PlanError
-        If an exposure is outside the camera's range.
+        If stripes run the wrong way or an exposure is outside the camera's range.
     """
+    if stripes_of(expanded.plan).axis != "x":
+        msg = (
+            f"plan {expanded.plan.name!r} has stripes along axis y of the projector; this rig maps "
+            "x to the tank: set axis: x."
+        )
+        raise PlanError(msg)
     low, high = rig.camera_can.exposure_range_s
     for shot in expanded.shots:
         if not low <= shot.exposure_s <= high:

@@ -96,6 +96,8 @@ class Session:
         frames, bad_lines = _promised_frames(root, journal.events, header)
         tolerated = journal.torn and not sealed
         damage += (journal.damage[:-1] if tolerated else journal.damage) + bad_lines
+        damage += _changed_header(root, journal.events)
+        damage += _read_seal(root)[1] if sealed else []
         if damage:
             raise damage[0]
         committed = {f.shot: f for f in frames if f.file == frame_file("commit", f.shot, 0)}
@@ -394,6 +396,17 @@ def _check_digest(root: Path, file: str, sha256: str) -> None:
         raise _DamageError(root, file, f"cannot be read ({error}).") from error
     if not same:
         raise _DamageError(root, file, "was changed after it was written: restore it.")
+
+
+def _changed_header(root: Path, events: Iterable[Mapping[str, Any]]) -> list[_DamageError]:
+    """Hold the header to the digest that the journal's first line took of it."""
+    recorded = _digests(dict(next(iter(events), {})))
+    try:
+        if HEADER in recorded:
+            _check_digest(root, HEADER, recorded[HEADER])
+    except _DamageError as damage:
+        return [damage]
+    return []
 
 
 def _strays(root: Path, promised: set[str], sealed: Mapping[str, str] | None) -> list[Problem]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,8 @@ from labrig.models import Analysis, Setup, StripesConfig
 
 Array = NDArray[np.float64]
 
+EXCESS_CHI2 = 4.0  # residuals twice the noise
+POOR_FIT = 0.1  # rms of the residual of Eq. 10 over rms of the picture
 MAX_RADIANCES = 60_000_000  # nodes x angles: half a gigabyte an array
 
 
@@ -91,6 +93,10 @@ def separate(pictures: Pictures, setup: Setup, config: Analysis) -> Separated:
         method = "known-pattern" if known else "harmonic" if net.shape[0] >= 4 else "extrema"
 
     def white(found: Separation) -> Separation:
+        if pictures.black_variance is not None:
+            # Subtracted from every shift alike, the black picture's noise is all in the mean.
+            common = pictures.black_variance / stripes.duty**2
+            found = replace(found, multiple_variance=found.multiple_variance + common)
         return as_if_white(found, low=stripes.low, high=stripes.high, duty=stripes.duty)
 
     extrema = white(separate_extrema(net, variance, stripes.duty))
@@ -120,7 +126,7 @@ def attenuate(separated: Separated, pictures: Pictures, setup: Setup, config: An
     rows, cols = separated.best.single.shape
     tank = Tank(depth_mm=cols * pictures.pixel, width_mm=rows * pictures.pixel)
     if setup.tank:
-        tank = Tank(depth_mm=setup.tank.depth_mm, width_mm=setup.tank.width_mm)
+        tank = setup.tank.record()
     beam, notes = _beam(pictures, setup)
     beam = beam.within(tank)
     margin = max(_period(setup), 0.05 * (beam.to_mm - beam.from_mm))
@@ -147,15 +153,16 @@ def attenuate(separated: Separated, pictures: Pictures, setup: Setup, config: An
     white = None
     if pictures.white is not None and pictures.white_variance is not None:
         white = profile(pictures.white, pictures.white_variance)
+    attenuation = fit(single)
     return Decay(
         tank=tank,
         beam=beam,
         single=single,
         white=white,
-        attenuation=fit(single),
+        attenuation=attenuation,
         by_extrema=_if_any(lambda: fit(extrema)),
         unseparated=None if white is None else _if_any(lambda: fit(white)),
-        notes=notes,
+        notes=(*notes, *_doubts(attenuation)),
     )
 
 
@@ -216,6 +223,11 @@ def explain(
         notes.append(
             "The fit of sigma_s and g stopped at the end of its range: they are not determined."
         )
+    if found.rms_relative > POOR_FIT:
+        notes.append(
+            f"The bounces leave {100 * found.rms_relative:.0f} % (rms) of the multiple scattering "
+            "unexplained: the model does not fit, and the std of sigma_s and g means little."
+        )
     if found.last_bounce_share > 0.01:
         notes.append(
             f"Bounce {n_bounces} still holds {100 * found.last_bounce_share:.1f} % of the "
@@ -239,6 +251,17 @@ def _beam(pictures: Pictures, setup: Setup) -> tuple[Beam, tuple[str, ...]]:
         f"{pictures.unit}, taken to enter straight (0 degrees)."
     )
     return beam, (note,)
+
+
+def _doubts(fit: Attenuation) -> tuple[str, ...]:
+    """Return what makes the stated deviations of Eq. 9 too small."""
+    if fit.chi2_per_dof <= EXCESS_CHI2:
+        return ()
+    times = math.sqrt(fit.chi2_per_dof)
+    return (
+        f"The residuals of Eq. 9 are {times:.1f} times the noise: something else than camera noise "
+        "bends the decay, and the std of sigma_t and c is too small.",
+    )
 
 
 def _pattern(setup: Setup, pictures: Pictures) -> Array:

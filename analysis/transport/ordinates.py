@@ -15,7 +15,7 @@ from numba import njit
 from analysis.errors import AnalysisError
 from analysis.light_field import BounceField, Grid
 from analysis.medium import Beam, Medium
-from analysis.phase_function import Array, convolution_matrix, phase_function
+from analysis.phase_function import UNRESOLVED, Array, convolution_matrix, phase_function
 from analysis.transport.beam import ballistic_fluence, second_bounce
 
 
@@ -60,10 +60,10 @@ def march(medium: Medium, beam: Beam, grid: Grid, *, n_bounces: int) -> Iterator
         raise AnalysisError(msg)
     beam.within(grid.tank)
     unresolved = abs(medium.g) ** (grid.n_theta // 2)
-    if unresolved > 0.01:
+    if unresolved > UNRESOLVED:
         msg = (
             f"{grid.n_theta} angles cannot resolve g = {medium.g} "
-            f"(|g|^(n/2) = {unresolved:.2g} > 0.01); use more angles."
+            f"(|g|^(n/2) = {unresolved:.2g} > {UNRESOLVED}); use more angles."
         )
         raise AnalysisError(msg)
     sigma_t = medium.sigma_t_per_mm

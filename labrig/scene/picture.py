@@ -211,6 +211,16 @@ class Picture:
         if x + width > camera.cols or y + height > camera.rows:
             msg = f"region_px {list(self._region)} leaves {camera.cols} x {camera.rows} px."
             raise PlanError(msg)
+        projection, beam = self._rig.projection, self._scene.beam
+        reach = REACH * projection.blur_px * projection.mm_per_px
+        first = projection.origin_mm
+        last = first + self._rig.projector.cols * projection.mm_per_px
+        if first > beam.from_mm - reach or last < beam.to_mm + reach:
+            msg = (
+                f"the projector lights {first:g} .. {last:g} mm, not the whole beam "
+                f"{beam.from_mm:g} .. {beam.to_mm:g} mm and the reach of its blur; mend projection."
+            )
+            raise PlanError(msg)
         along, across = (width, height)
         if self._rig.geometry.lit_side in {"top", "bottom"}:
             along, across = (height, width)

@@ -71,7 +71,7 @@ def tank_response(
             return TankResponse(field=found, n_bounces=n_bounces, from_cache=True)
     sampled = simulate(
         scene.medium.record(),
-        scene.tank_record(),
+        scene.tank.record(),
         scene.beam.record(),
         n_bounces=n_bounces,
         n_paths=scene.transport.n_paths,

@@ -19,6 +19,7 @@ import tifffile
 from numpy.typing import NDArray
 
 import labrig
+from labrig.errors import ConfigError
 from labrig.session import Session, SessionWriter
 
 Counts = NDArray[np.uint16]
@@ -51,7 +52,9 @@ def complaint(command: Callable[..., Any]) -> Complaint:
 def coarse(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An analysis file for tests that ask no more of the solver than that it answers."""
     path = tmp_path_factory.mktemp("analysis") / "coarse.yaml"
-    path.write_text("schema: labrig-analysis/1\nn_theta: 32\nn_bounces: 4\nn_g: 3\n")
+    path.write_text(
+        "schema: labrig-analysis/1\nn_theta: 32\nn_bounces: 4\nn_g: 3\ng_range: [-0.5, 0.7]\n"
+    )
     return path
 
 
@@ -281,7 +284,7 @@ def small_files(small_plan: Path, small_rig: Path, small_scene: Path) -> dict[st
         ("scene", "sigma_t_per_mm: 0.3", "sigma_t_per_mm: -0.3", "sigma_t = -0.3"),
         ("scene", "depth_mm: 30", "depth_mm: 40", "30 x 24 mm"),
         ("rig", "rows: 160", "rows: 100", "region_px"),
-        ("rig", "cols: 640", "cols: 20", "period 12 px"),
+        ("rig", "cols: 640", "cols: 20", "not the whole beam"),
         ("plan", "[0.05, 0.4]", "[0.05, 100.0]", "100.0 s"),
         ("plan", "axis: x", "axis: y", "axis"),
     ],
@@ -303,7 +306,7 @@ def test_capture_of_a_bad_file_is_refused(
     out = tmp_path / "out"
     given = ["--rig", files["rig"], "--scene", files["scene"], "--out", out]
     assert said in complaint("capture", files["plan"], *given)
-    assert not list(out.rglob("SEAL.json"))
+    assert not out.exists()
 
 
 def test_analysis_file_with_an_unknown_key_is_refused(
@@ -346,10 +349,29 @@ def test_dark_pictures_give_no_parameters(
     complaint("analyse", path, "--config", coarse, code=2)
 
 
-def test_missing_shift_is_named(imported: Callable[..., Path], complaint: Complaint) -> None:
+def test_missing_shift_is_named(
+    tmp_path: Path, imported: Callable[..., Path], complaint: Complaint
+) -> None:
+    planned = shots()
+    del planned[3]
+    assert "shift 3 of 6 is missing" in complaint("analyse", hostile(tmp_path, planned))
     pictures = series()
     del pictures["stripes-3"]
-    assert "shift 3 of 6 is missing" in complaint("analyse", imported(pictures))
+    with pytest.raises(ConfigError, match="shift 3 of 6 is missing"):
+        imported(pictures)
+
+
+def test_edited_header_is_not_analysed(session_copy: Path, complaint: Complaint) -> None:
+    header = session_copy / "session.json"
+    header.write_text(header.read_text("utf-8").replace("0.05", "0.06"), encoding="utf-8")
+    assert "session.json" in complaint("analyse", session_copy, code=3)
+
+
+def test_seal_that_proves_nothing_is_not_taken_for_one(
+    session_copy: Path, complaint: Complaint
+) -> None:
+    (session_copy / "SEAL.json").write_text("{}", encoding="utf-8")
+    assert "SEAL.json" in complaint("analyse", session_copy, code=3)
 
 
 def test_three_shifts_are_too_few_for_the_harmonic(

@@ -158,3 +158,12 @@ def test_pictures_the_response_does_not_know_are_refused(picture):
             picture._response,
             period_px=PERIOD_PX,
         )
+
+
+def test_a_projector_that_does_not_light_the_whole_beam_is_refused(picture):
+    narrow = rig_of()
+    narrow = narrow.model_copy(
+        update={"projector": narrow.projector.model_copy(update={"cols": 440})}
+    )
+    with pytest.raises(PlanError, match="not the whole beam"):
+        Picture(scene_of(), narrow, picture._response, period_px=PERIOD_PX)
