@@ -20,14 +20,14 @@ def test_blurred_stripes_are_a_blurred_square_wave():
         )
         exact = gaussian_filter1d(boxed[fine:-fine], 0.5 * fine, mode="wrap")
         found = stripe_light(u, **KIND, blur_px=0.5, pixel_px=1.0)[shift]
-        # measured worst 6e-4: half a sample of the sampled box
-        np.testing.assert_allclose(found, exact, atol=2e-3)
+        # measured worst 1.7e-3: half a sample of the sampled box
+        np.testing.assert_allclose(found, exact, atol=2.5e-3)
 
 
 def test_shifts_together_are_the_uniform_light():
     u = np.linspace(0.0, 12.0, 97)
     light = stripe_light(u, **KIND, blur_px=0.3, pixel_px=0.5)
-    # measured worst 4e-16
+    # measured worst 3e-16
     np.testing.assert_allclose(light.mean(axis=0), 0.5, atol=1e-13)
     # shift k has moved the pattern by k/6 of its period
     moved = stripe_light(u - 2.0, **KIND, blur_px=0.3, pixel_px=0.5)
