@@ -26,7 +26,10 @@ from labrig import rig as _rig
 from labrig import runner as _runner
 from labrig import session as _session
 from labrig.config import config_folder
-from labrig.models import Analysis, Plan, Rig, Scene
+from labrig.models.analysis import Analysis
+from labrig.models.plan import Plan
+from labrig.models.rig import Rig
+from labrig.models.scene import Scene
 from labrig.pipeline import Until
 from labrig.results import Result
 from labrig.rig import OpenRig

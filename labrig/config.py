@@ -16,7 +16,12 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from labrig.errors import ConfigError
-from labrig.models import Analysis, ImportManifest, Model, Plan, Rig, Scene
+from labrig.models.analysis import Analysis
+from labrig.models.base import Model
+from labrig.models.manifest import ImportManifest
+from labrig.models.plan import Plan
+from labrig.models.rig import Rig
+from labrig.models.scene import Scene
 
 
 def config_folder() -> Path:

@@ -17,7 +17,9 @@ from PIL import Image
 
 from labrig.config import load
 from labrig.errors import ConfigError
-from labrig.models import ImportFrame, ImportManifest, Setup, Shot
+from labrig.models.manifest import ImportFrame, ImportManifest
+from labrig.models.plan import Shot
+from labrig.models.setup import Setup
 from labrig.session import SessionWriter
 
 TIFF_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")

@@ -14,7 +14,8 @@ from calibration.hdr import Radiance, merge
 from calibration.model import CameraModel
 from labrig.config import parse
 from labrig.errors import AnalysisRefusedError
-from labrig.models import Setup, Shot
+from labrig.models.plan import Shot
+from labrig.models.setup import Setup
 from labrig.session import Session
 
 Array = NDArray[np.float64]

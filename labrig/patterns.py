@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrig.errors import PlanError
-from labrig.models import BlackPattern, OffPattern, Pattern, UniformPattern
+from labrig.models.plan import BlackPattern, OffPattern, Pattern, UniformPattern
 
 Image = NDArray[np.uint8]
 

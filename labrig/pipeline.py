@@ -9,7 +9,8 @@ from typing import Literal
 
 from labrig.config import parse
 from labrig.linearise import linearise, rectify
-from labrig.models import Analysis, Setup
+from labrig.models.analysis import Analysis
+from labrig.models.setup import Setup
 from labrig.record import Outcome, fields_of, run_of
 from labrig.results import Result, read_results, write_results
 from labrig.session import Session

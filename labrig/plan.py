@@ -8,7 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from labrig.errors import PlanError
-from labrig.models import Pattern, Plan, Rig, Shot, StripesPattern
+from labrig.models.plan import Pattern, Plan, Shot, StripesPattern
+from labrig.models.rig import Rig
 from labrig.patterns import Image, digest, draw
 
 

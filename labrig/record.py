@@ -18,7 +18,8 @@ from analysis.attenuation import Attenuation
 from analysis.profile import DepthProfile
 from analysis.separation import closure
 from labrig.linearise import Pictures
-from labrig.models import Analysis, Setup
+from labrig.models.analysis import Analysis
+from labrig.models.setup import Setup
 from labrig.results import Field
 from labrig.session import Session
 from labrig.steps import Decay, Explained, Separated

@@ -14,7 +14,9 @@ from drivers.errors import DriverError
 from drivers.projector.protocol import Projector, ProjectorCapabilities
 from drivers.projector.simulated import SimulatedProjector
 from drivers.simulation.world import World
-from labrig.models import Plan, Rig, Scene
+from labrig.models.plan import Plan
+from labrig.models.rig import Rig
+from labrig.models.scene import Scene
 from labrig.plan import stripes_of
 from labrig.scene.picture import Picture, Truth
 from labrig.scene.response import tank_response

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from labrig.errors import PlanError, RunError
-from labrig.models import Plan, Setup, Shot, StripesConfig
+from labrig.models.plan import Plan, Shot
+from labrig.models.setup import Setup, StripesConfig
 from labrig.plan import CapturePlan, expand, stripes_of
 from labrig.rig import OpenRig
 from labrig.session import SessionWriter

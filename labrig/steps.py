@@ -31,7 +31,8 @@ from analysis.transport.ordinates import solve
 from calibration.projector import stripe_light
 from labrig.errors import AnalysisRefusedError
 from labrig.linearise import Pictures
-from labrig.models import Analysis, Setup, StripesConfig
+from labrig.models.analysis import Analysis
+from labrig.models.setup import Setup, StripesConfig
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,8 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.special import erf
 
 from labrig.errors import PlanError, RunError
-from labrig.models import Rig, Scene
+from labrig.models.rig import Rig
+from labrig.models.scene import Scene
 from labrig.patterns import Image
 from labrig.scene.response import HARMONICS, TankResponse
 

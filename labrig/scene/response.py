@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from analysis.transport.montecarlo import SampledField, simulate
-from labrig.models import Scene
+from labrig.models.scene import Scene
 
 VERSION = 1  # of the kept files; raise it when the Monte Carlo changes its answer
 HARMONICS = (1, 3)  # of a square wave after a projector's blur; the fifth adds about 0.2 percent

@@ -15,7 +15,11 @@ from pydantic import BaseModel, ValidationError
 import labrig
 from labrig.config import SCHEMAS, json_schema, load
 from labrig.errors import ConfigError
-from labrig.models import Analysis, ImportManifest, Plan, Rig, Scene
+from labrig.models.analysis import Analysis
+from labrig.models.manifest import ImportManifest
+from labrig.models.plan import Plan
+from labrig.models.rig import Rig
+from labrig.models.scene import Scene
 
 BY_FOLDER: dict[str, type[Any]] = {
     "plans": Plan,

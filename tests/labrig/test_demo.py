@@ -101,7 +101,7 @@ def test_the_headless_script_of_the_docs_runs(tmp_path):
 
 
 def test_json_is_all_that_the_command_prints(found, capsys, monkeypatch):
-    monkeypatch.setattr(cli.demonstration, "run", lambda *_, **__: found)
+    monkeypatch.setattr(demo, "run", lambda *_, **__: found)
     assert cli.run(["demo", "--json", "--out", "unused"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert set(printed) == {"sigma_t_per_mm", "sigma_s_per_mm", "g", "session", "report"}

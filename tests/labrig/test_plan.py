@@ -8,7 +8,7 @@ import pytest
 import labrig
 from labrig.config import parse
 from labrig.errors import ConfigError, PlanError
-from labrig.models import Shot
+from labrig.models.plan import Shot
 from labrig.patterns import draw
 from labrig.plan import expand, stripes_of
 

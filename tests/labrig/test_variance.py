@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import labrig
-from labrig.models import Analysis
+from labrig.models.analysis import Analysis
 
 SEEDS = range(1, 9)
 

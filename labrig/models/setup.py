@@ -1,0 +1,120 @@
+"""What any session tells the analysis beside its frames: camera, geometry, tank, stripes."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from analysis.medium import Beam, Tank
+from calibration.model import CameraModel
+from labrig.models.base import Model, NonNegative, Positive
+
+
+class CameraConfig(Model):
+    """What is known about the camera that took the pictures."""
+
+    bits: int = Field(ge=1, le=16)
+    black_level_dn: NonNegative
+    white_level_dn: Positive
+    gain_dn_per_e: Positive | None = Field(None, description="system gain; unknown if left out")
+    read_noise_e: Positive | None = Field(None, description="unknown if left out")
+    response: Literal["linear"] = "linear"
+
+    @model_validator(mode="after")
+    def _levels_fit(self) -> CameraConfig:
+        self.record()
+        return self
+
+    def record(self) -> CameraModel:
+        """Return the calibration's record of this camera."""
+        return CameraModel(
+            bits=self.bits,
+            black_level_dn=self.black_level_dn,
+            white_level_dn=self.white_level_dn,
+            gain_dn_per_e=self.gain_dn_per_e,
+            read_noise_e=self.read_noise_e,
+            response=self.response,
+        )
+
+
+class GeometryConfig(Model):
+    """Where the sample lies in the picture."""
+
+    mm_per_px: Positive | None = Field(None, description="without it lengths are px and say so")
+    region_px: tuple[int, int, int, int] | None = Field(
+        None,
+        description="x, y, width, height; begins at the entry face; else the whole picture",
+    )
+    lit_side: Literal["left", "right", "top", "bottom"] = "left"
+
+    @model_validator(mode="after")
+    def _region_has_area(self) -> GeometryConfig:
+        if self.region_px is not None and (min(self.region_px) < 0 or min(self.region_px[2:]) < 2):
+            msg = f"region_px {list(self.region_px)} is not x, y >= 0 and width, height >= 2"
+            raise ValueError(msg)
+        return self
+
+
+class TankConfig(Model):
+    """Depth from the lit face and width along it."""
+
+    depth_mm: Positive
+    width_mm: Positive
+
+    def record(self) -> Tank:
+        """Return the analysis' record of this tank."""
+        return Tank(depth_mm=self.depth_mm, width_mm=self.width_mm)
+
+
+class BeamConfig(Model):
+    """The lit part of the face, and the direction of the light inside the medium."""
+
+    from_mm: float
+    to_mm: float
+    angle_deg: float = 0.0
+
+    @model_validator(mode="after")
+    def _is_a_beam(self) -> BeamConfig:
+        self.record()
+        return self
+
+    def record(self) -> Beam:
+        """Return the analysis' record of this beam."""
+        return Beam(from_mm=self.from_mm, to_mm=self.to_mm, angle_deg=self.angle_deg)
+
+
+class StripesConfig(Model):
+    """The stripes that were shown, in projector px."""
+
+    period_px: Positive = 12
+    duty: float = Field(0.5, gt=0.0, lt=1.0)
+    profile: Literal["square", "sinusoid"] = "square"
+    low: float = Field(0.0, ge=0.0, lt=1.0, description="light of a dark stripe, share of white")
+    high: float = Field(1.0, gt=0.0, le=1.0, description="light of a lit stripe, share of white")
+
+    @model_validator(mode="after")
+    def _low_is_darker(self) -> StripesConfig:
+        if self.low >= self.high:
+            msg = f"low = {self.low} must be darker than high = {self.high}"
+            raise ValueError(msg)
+        return self
+
+
+class ProjectionConfig(Model):
+    """Where a projector pixel falls in the tank: its phase is then known in every picture."""
+
+    mm_per_px: Positive
+    origin_mm: float = Field(description="tank y of the projector's first pixel edge")
+    blur_px: NonNegative = Field(0.0, description="standard deviation of its blur, projector px")
+
+
+class Setup(Model):
+    """All that a session must tell the analysis beside its frames."""
+
+    camera: CameraConfig
+    geometry: GeometryConfig = GeometryConfig()
+    tank: TankConfig | None = Field(None, description="else the region")
+    beam: BeamConfig | None = Field(None, description="else measured from the white frame")
+    stripes: StripesConfig | None = None
+    projection: ProjectionConfig | None = Field(None, description="where it is calibrated")
