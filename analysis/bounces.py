@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from analysis.light_field import Grid
 from analysis.medium import Beam, Medium, Phase
 from analysis.transport.beam import ballistic_fluence
-from analysis.transport.ordinates import fluence_of, march
+from analysis.transport.ordinates import bounce_weight, march
 
 Array = NDArray[np.float64]
 
@@ -86,8 +86,8 @@ def tabulate(
         medium = Medium(
             sigma_t_per_mm=sigma_t_per_mm, sigma_s_per_mm=sigma_t_per_mm, g=float(g), phase=phase
         )
-        for k, radiance in enumerate(march(medium, beam, grid, n_bounces=n_bounces), start=1):
-            row[k] = fluence_of(radiance)
+        for k, radiance in enumerate(march(medium, beam, grid, n_bounces=n_bounces), start=2):
+            row[k - 1] = bounce_weight(medium, k, radiance.log_scale) * radiance.fluence
         if progress is not None:
             progress(int(np.flatnonzero(g_nodes == g)[0]) + 1, n_g)
     return BounceTable(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +62,16 @@ class Grid:
         return np.linspace(0.0, self.tank.width_mm, self.n_y, dtype=np.float64)
 
     @property
+    def cell_x_mm(self) -> float:
+        """Distance of nodes along the depth."""
+        return self.tank.depth_mm / (self.n_x - 1)
+
+    @property
+    def cell_y_mm(self) -> float:
+        """Distance of nodes along the lit face."""
+        return self.tank.width_mm / (self.n_y - 1)
+
+    @property
     def theta_rad(self) -> Array:
         """Directions of travel, (n_theta,)."""
         return 2.0 * np.pi * (np.arange(self.n_theta) + 0.5) / self.n_theta
@@ -100,14 +111,19 @@ class BounceField:
     fluence : (K, n_y, n_x), phi_k for k = 1 .. K, each with sigma_s^(k-1) applied; point values,
         the ballistic fluence being one where the beam enters
     light_field : (K - 1, n_y, n_x, n_theta), L_k for k = 2 .. K, radiance per radian, likewise;
-        the ballistic beam is a delta and stays out
+        the ballistic beam is a delta and stays out. None where it was not asked for, or where
+        light keeps its direction and all of it is a delta
+    engine : what computed it
+    error_estimate : (K,), relative rms error of each fluence; None where it was not measured
     """
 
     medium: Medium
     beam: Beam
     grid: Grid
     fluence: Array
-    light_field: Array
+    light_field: NDArray[np.floating[Any]] | None
+    engine: str
+    error_estimate: Array | None = None
 
     @property
     def n_bounces(self) -> int:

@@ -10,9 +10,13 @@ import math
 from dataclasses import dataclass, fields
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from analysis.errors import AnalysisError
 
 Phase = Literal["hg-plane", "hg-paper"]
+Gain = Literal["refused", "allowed"]
 
 
 def _refuse_non_finite(record: object) -> None:
@@ -27,30 +31,42 @@ def _refuse_non_finite(record: object) -> None:
 class Medium:
     """A homogeneous scattering medium.
 
+    ``gain`` = "allowed" lets sigma_s exceed sigma_t: no liquid does, but the equations of single
+    orders stand, and the paper's literal mode can want it.
+
     Raises
     ------
     AnalysisError
-        If a coefficient is not finite or negative, sigma_s exceeds sigma_t, or g is no cosine.
+        If a coefficient is not finite or negative, sigma_s exceeds sigma_t without ``gain``, or
+        g is no cosine.
     """
 
     sigma_t_per_mm: float
     sigma_s_per_mm: float
     g: float
     phase: Phase = "hg-plane"
+    gain: Gain = "refused"
 
     def __post_init__(self) -> None:
         _refuse_non_finite(self)
-        if self.sigma_t_per_mm <= 0.0:
-            msg = f"sigma_t = {self.sigma_t_per_mm} / mm: the extinction must be positive."
+        if self.gain not in ("refused", "allowed"):
+            msg = f"gain = {self.gain!r} is unknown; choose refused or allowed."
             raise AnalysisError(msg)
-        if not 0.0 <= self.sigma_s_per_mm <= self.sigma_t_per_mm:
+        if min(self.sigma_t_per_mm, self.sigma_s_per_mm) < 0.0:
             msg = (
-                f"sigma_s = {self.sigma_s_per_mm} / mm is outside 0 .. sigma_t = "
-                f"{self.sigma_t_per_mm} / mm: light cannot scatter more than it is extinguished."
+                f"sigma_t = {self.sigma_t_per_mm}, sigma_s = {self.sigma_s_per_mm} / mm: "
+                "coefficients cannot be negative."
             )
             raise AnalysisError(msg)
-        if not -1.0 < self.g < 1.0:
-            msg = f"g = {self.g} is outside -1 < g < 1: an asymmetry is a mean cosine."
+        if self.sigma_s_per_mm > self.sigma_t_per_mm and self.gain == "refused":
+            msg = (
+                f"sigma_s = {self.sigma_s_per_mm} / mm exceeds sigma_t = {self.sigma_t_per_mm} "
+                "/ mm: light cannot scatter more than it is extinguished; "
+                "gain: allowed asks for it all the same."
+            )
+            raise AnalysisError(msg)
+        if not -1.0 <= self.g <= 1.0:
+            msg = f"g = {self.g} is outside -1 .. 1: an asymmetry is a mean cosine."
             raise AnalysisError(msg)
         if self.phase not in ("hg-plane", "hg-paper"):
             msg = f"phase = {self.phase!r} is unknown; choose hg-plane or hg-paper."
@@ -58,8 +74,10 @@ class Medium:
 
     @property
     def albedo(self) -> float:
-        """Share of the extinction that is scattering, sigma_s / sigma_t."""
-        return self.sigma_s_per_mm / self.sigma_t_per_mm
+        """Share of the extinction that is scattering, sigma_s / sigma_t; 0 in empty space."""
+        if self.sigma_s_per_mm == 0.0:
+            return 0.0
+        return self.sigma_s_per_mm / self.sigma_t_per_mm if self.sigma_t_per_mm else math.inf
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,15 +99,21 @@ class Tank:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Beam:
-    """Parallel light entering at x = 0 between two heights, uniform there.
+    """Parallel light entering at x = 0 between two heights.
 
-    The irradiance is counted across the beam, so the ballistic fluence is one where the beam
-    enters, whatever its slant. ``angle_deg`` is the direction inside the medium.
+    The irradiance is counted across the beam, so the ballistic fluence is the irradiance where
+    the beam enters, whatever its slant. ``angle_deg`` is the direction inside the medium.
+
+    Attributes
+    ----------
+    profile : pairs (y_mm, irradiance) at the lit face from ``from_mm`` to ``to_mm``, linear
+        between them; without it the irradiance is one
     """
 
     from_mm: float
     to_mm: float
     angle_deg: float = 0.0
+    profile: tuple[tuple[float, float], ...] | None = None
 
     def __post_init__(self) -> None:
         _refuse_non_finite(self)
@@ -99,19 +123,58 @@ class Beam:
         if not -90.0 < self.angle_deg < 90.0:
             msg = f"angle_deg = {self.angle_deg} does not enter the tank; give -90 < angle < 90."
             raise AnalysisError(msg)
+        if self.profile is not None:
+            self._refuse_bad_profile()
 
-    def within(self, tank: Tank) -> Beam:
-        """Return this beam, refused unless it enters the tank wholly.
+    def _refuse_bad_profile(self) -> None:
+        y, irradiance = self.profile_points()
+        if y.size < 2 or not (np.all(np.isfinite(y)) and np.all(np.diff(y) > 0.0)):
+            msg = "profile: two or more points of rising finite y_mm are needed."
+            raise AnalysisError(msg)
+        if y[0] != self.from_mm or y[-1] != self.to_mm:
+            msg = (
+                f"profile runs from {y[0]} to {y[-1]} mm, the beam from {self.from_mm} to "
+                f"{self.to_mm} mm; give both the same ends."
+            )
+            raise AnalysisError(msg)
+        if not np.all(np.isfinite(irradiance)) or irradiance.min() < 0.0 or irradiance.max() == 0.0:
+            msg = "profile: irradiances must be finite, none negative, and not all zero."
+            raise AnalysisError(msg)
+
+    def profile_points(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return heights (mm) and irradiances between which the profile is linear."""
+        points = self.profile or ((self.from_mm, 1.0), (self.to_mm, 1.0))
+        table = np.array(points, dtype=np.float64)
+        return table[:, 0], table[:, 1]
+
+    def entering(self, tank: Tank) -> Beam:
+        """Return the part of this beam that enters through the tank's face.
+
+        A beam wider than the face overfills it, and the rest passes by.
 
         Raises
         ------
         AnalysisError
-            If an edge lies outside 0 .. width.
+            If one edge only lies outside 0 .. width, or no light enters at all: such a beam is
+            taken for a mistake.
         """
-        if self.from_mm < 0.0 or self.to_mm > tank.width_mm:
+        width = tank.width_mm
+        below, above = self.from_mm < 0.0, self.to_mm > width
+        if below != above:
             msg = (
                 f"the beam from {self.from_mm} to {self.to_mm} mm leaves the tank's face "
-                f"0 .. {tank.width_mm} mm; mend the beam or the tank."
+                f"0 .. {width} mm; mend the beam or the tank."
             )
             raise AnalysisError(msg)
-        return self
+        if not below:
+            return self
+        y, irradiance = self.profile_points()
+        inside = (y > 0.0) & (y < width)
+        heights = [0.0, *y[inside].tolist(), width]
+        cut = tuple((h, float(np.interp(h, y, irradiance))) for h in heights)
+        return Beam(
+            from_mm=0.0,
+            to_mm=width,
+            angle_deg=self.angle_deg,
+            profile=None if self.profile is None else cut,
+        )

@@ -57,18 +57,24 @@ def fourier_coefficients(g: float, phase: Phase, n: int) -> Array:
     return np.asarray(spectrum[:n] * (2.0 * np.pi / n_points))
 
 
-def convolution_matrix(g: float, phase: Phase, n_theta: int) -> Array:
-    """Return S of shape (n_theta, n_theta): S @ L is the integral of p(theta - theta') L(theta').
+def scattering_moments(
+    g: float, phase: Phase, theta_rad: Array, *, n_orders: int, negligible: float
+) -> tuple[Array, Array]:
+    """Return the moments over direction that scattering weighs, and their weights.
 
-    Built from the exact Fourier coefficients |m| < n_theta/2, so that a light field resolved by
-    n_theta equal angles is scattered without any error of sampling p. Where |g|^(n_theta/2) is
-    not small, neither is the light field resolved.
+    The rows of the first, (r, n), are 1, cos(m theta) and sin(m theta); with the integrals M of
+    those times L, the scattered light ``integral of p(theta - theta') L(theta')`` is the sum of
+    rows times weights (r,) times M. The coefficients are exact, p is never sampled.
+
+    Parameters
+    ----------
+    n_orders : m stays below it
+    negligible : coefficients below this share of the first are left out at the end of the series
     """
-    n_orders = (n_theta + 1) // 2
     coefficients = fourier_coefficients(g, phase, n_orders)
-    turn = 2.0 * np.pi * np.arange(n_theta) / n_theta
-    kernel = coefficients[0] + 2.0 * np.sum(
-        coefficients[1:, None] * np.cos(np.arange(1, n_orders)[:, None] * turn), axis=0
-    )
-    index = np.arange(n_theta)
-    return np.asarray(kernel[(index[:, None] - index[None, :]) % n_theta] / n_theta)
+    matter = np.flatnonzero(np.abs(coefficients) > negligible * coefficients[0])
+    m = np.arange(1, int(matter[-1]) + 1)
+    angle = m[:, None] * theta_rad
+    basis = np.concatenate([np.ones((1, theta_rad.size)), np.cos(angle), np.sin(angle)])
+    weights = np.concatenate([coefficients[:1], *[2.0 * coefficients[m]] * 2]) / (2.0 * np.pi)
+    return basis, np.asarray(weights)

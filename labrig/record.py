@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.attenuation import Attenuation
+from analysis.light_field import BounceField
 from analysis.profile import DepthProfile
 from analysis.separation import closure
 from labrig.linearise import Pictures
@@ -281,16 +282,10 @@ def _profiles(decay: Decay, unit: str) -> dict[str, Field]:
 
 
 def _bounces(outcome: Outcome, explained: Explained) -> dict[str, Field]:
-    field, grid = explained.bounces, explained.bounces.grid
-    unit = outcome.pictures.unit
+    grid = explained.bounces.grid
     single, _ = grid.average(outcome.separated.best.single, outcome.pictures.pixel)
-    n = field.n_bounces
     return {
-        "x": _axis("x", grid.x_mm, unit),
-        "y": _axis("y", grid.y_mm, unit),
-        "theta": _axis("theta", grid.theta_rad, "rad"),
-        "bounce": _axis("bounce", np.arange(1, n + 1), "1"),
-        "scattered_bounce": _axis("scattered_bounce", np.arange(2, n + 1), "1"),
+        **bounce_fields(explained.bounces, outcome.pictures.unit),
         "single": Field(
             dims=("y", "x"), values=single, unit="counts/s", meaning="I_1 averaged to the nodes"
         ),
@@ -306,19 +301,40 @@ def _bounces(outcome: Outcome, explained: Explained) -> dict[str, Field]:
             unit="counts/s",
             meaning="multiple less its model (Eq. 10)",
         ),
+    }
+
+
+def bounce_fields(field: BounceField, unit: str) -> dict[str, Field]:
+    """Return the bounces and their coordinates as named fields; ``unit`` is that of lengths."""
+    grid, n = field.grid, field.n_bounces
+    fields = {
+        "x": _axis("x", grid.x_mm, unit),
+        "y": _axis("y", grid.y_mm, unit),
+        "bounce": _axis("bounce", np.arange(1, n + 1), "1"),
         "fluence": Field(
             dims=("bounce", "y", "x"),
             values=field.fluence,
             unit="1",
             meaning="phi_k, one where the beam enters; times scale_c: the picture of bounce k",
         ),
-        "light_field": Field(
+    }
+    if field.error_estimate is not None:
+        fields["error_estimate"] = Field(
+            dims=("bounce",),
+            values=field.error_estimate,
+            unit="1",
+            meaning="relative rms error of each bounce's fluence",
+        )
+    if field.light_field is not None and n > 1:
+        fields["theta"] = _axis("theta", grid.theta_rad, "rad")
+        fields["scattered_bounce"] = _axis("scattered_bounce", np.arange(2, n + 1), "1")
+        fields["light_field"] = Field(
             dims=("scattered_bounce", "y", "x", "theta"),
-            values=field.light_field.astype(np.float32),
+            values=field.light_field.astype(np.float32, copy=False),
             unit="1/rad",
             meaning="L_k, radiance per radian of bounces 2 .. K",
-        ),
-    }
+        )
+    return fields
 
 
 def _axis(name: str, values: NDArray[Any], unit: str) -> Field:

@@ -27,7 +27,7 @@ from analysis.separation import (
     separate_known,
     square_contrast,
 )
-from analysis.transport.ordinates import solve
+from analysis.transport.ordinates import solve_on
 from calibration.projector import stripe_light
 from labrig.errors import AnalysisRefusedError
 from labrig.linearise import Pictures
@@ -129,7 +129,7 @@ def attenuate(separated: Separated, pictures: Pictures, setup: Setup, config: An
     if setup.tank:
         tank = setup.tank.record()
     beam, notes = _beam(pictures, setup)
-    beam = beam.within(tank)
+    beam = beam.entering(tank)
     margin = max(_period(setup), 0.05 * (beam.to_mm - beam.from_mm))
 
     def profile(
@@ -237,7 +237,7 @@ def explain(
     return Explained(
         inversion=found,
         multiple=multiple,
-        bounces=solve(medium, decay.beam, grid, n_bounces=n_bounces),
+        bounces=solve_on(medium, decay.beam, grid, n_bounces=n_bounces),
         notes=tuple(notes),
     )
 

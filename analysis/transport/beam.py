@@ -1,8 +1,8 @@
 """The ballistic beam L_1 and the closed form of the second bounce L_2.
 
-Along the ray that arrives at (x, y) in direction theta, the part that lies in the lit strip is
-one interval, and the light set out on it is the exponential of a linear function. So L_2 has no
-spatial error at all, at any point and for any width and slant of the beam.
+Along the ray that arrives at (x, y) in direction theta, the part that lies in a lit strip is one
+interval, and the light set out on it is a linear function times an exponential. So L_2 has no
+spatial error at all, at any point and for any width, slant and profile of the beam.
 """
 
 from __future__ import annotations
@@ -21,119 +21,169 @@ from analysis.phase_function import Array
 def ballistic_fluence(
     x_mm: Array, y_mm: Array, *, sigma_t_per_mm: float, beam: Beam
 ) -> NDArray[np.float64]:
-    """Return phi_1 = exp(-sigma_t d) in the lit strip, zero outside, (n_y, n_x).
+    """Return phi_1 = E exp(-sigma_t d) in the lit strip, zero outside, (n_y, n_x).
 
-    ``d = x / cos(theta_0)`` is the path inside the medium. A node on the strip's edge gets one
-    half, the mean of both sides.
+    ``d = x / cos(theta_0)`` is the path inside the medium, E the irradiance where the light
+    entered. A node on the strip's edge gets one half, the mean of both sides.
     """
     angle = math.radians(beam.angle_deg)
     entry = y_mm[:, None] - x_mm[None, :] * math.tan(angle)
     lit = np.heaviside(entry - beam.from_mm, 0.5) * np.heaviside(beam.to_mm - entry, 0.5)
+    lit *= np.interp(entry, *beam.profile_points())
     return np.asarray(lit * np.exp(-sigma_t_per_mm * x_mm[None, :] / math.cos(angle)))
 
 
-@njit(cache=True, nogil=True)
-def integrate_strip(
-    x: float,
-    y: float,
-    cos_t: float,
-    sin_t: float,
-    depth: float,
-    width: float,
-    low: float,
-    high: float,
-    cos_0: float,
-    sin_0: float,
-    sigma_t: float,
-) -> float:
-    """Integrate exp(-sigma_t s) L_1 backwards along a ray from (x, y), in mm.
-
-    ``s`` counts back along the direction (cos_t, sin_t), up to the wall of the tank;
-    L_1 = exp(-sigma_t d) inside the strip low < y - x tan(theta_0) < high.
-    """
-    far = 1e300
-    if cos_t > 0.0:
-        far = min(far, x / cos_t)
-    elif cos_t < 0.0:
-        far = min(far, (x - depth) / cos_t)
-    if sin_t > 0.0:
-        far = min(far, y / sin_t)
-    elif sin_t < 0.0:
-        far = min(far, (y - width) / sin_t)
-    near = 0.0
-    tan_0 = sin_0 / cos_0
-    entry = y - x * tan_0
-    drift = sin_t - cos_t * tan_0
-    if abs(drift) < 1e-14:
-        if entry <= low or entry >= high:
-            return 0.0
-    else:
-        s_low = (entry - low) / drift
-        s_high = (entry - high) / drift
-        near = max(near, min(s_low, s_high))
-        far = min(far, max(s_low, s_high))
-    if far <= near:
-        return 0.0
-    rate = sigma_t * (1.0 - cos_t / cos_0)
-    # Start from the brighter end: the other one may underflow where the beam is grazing.
-    bright = near if rate >= 0.0 else far
-    brightest = math.exp(-sigma_t * x / cos_0 - rate * bright)
-    span = far - near
-    if rate == 0.0:
-        return brightest * span
-    return -brightest * math.expm1(-abs(rate) * span) / abs(rate)
-
-
-@njit(cache=True, nogil=True)
-def _fill_second_bounce(
-    x: Array,
-    y: Array,
-    theta: Array,
-    tank_beam: Array,
-    sigma_t: float,
-    weight: Array,
-    out: Array,
-) -> None:
-    """Fill out (n_theta, n_y, n_x) with weight * integrate_strip."""
-    depth, width, low, high, cos_0, sin_0 = tank_beam
-    for n in range(theta.size):
-        cos_t, sin_t = math.cos(theta[n]), math.sin(theta[n])
-        for j in range(y.size):
-            for i in range(x.size):
-                out[n, j, i] = weight[n] * integrate_strip(
-                    x[i], y[j], cos_t, sin_t, depth, width, low, high, cos_0, sin_0, sigma_t
-                )
-
-
 def second_bounce(
-    grid: Grid, beam: Beam, *, sigma_t_per_mm: float, weight: Array
+    grid: Grid,
+    beam: Beam,
+    theta_rad: Array,
+    *,
+    sigma_t_per_mm: float,
+    weight: Array,
+    lines_of_x: bool = False,
 ) -> NDArray[np.float64]:
-    """Return weight(theta) times the strip integral at every node, (n_theta, n_y, n_x).
+    """Return weight(theta) times the beam integral at every node, (n, n_y, n_x).
 
-    With ``weight = sigma_s p(theta - theta_0)`` this is L_2 exactly.
+    The beam integral is exp(-sigma_t s) L_1 integrated backwards along the ray, in mm; with
+    ``weight = sigma_s p(theta - theta_0)`` this is L_2 exactly. ``lines_of_x`` returns it as
+    (n, n_x, n_y).
     """
-    out = np.empty((grid.n_theta, grid.n_y, grid.n_x))
-    _fill_second_bounce(
-        grid.x_mm,
-        grid.y_mm,
-        grid.theta_rad,
-        _tank_and_beam(grid.tank, beam),
-        sigma_t_per_mm,
-        weight,
-        out,
-    )
+    places = places_of(grid, lines_of_x=lines_of_x)
+    out = np.zeros((theta_rad.size, places[0].size, places[1].size))
+    for n, theta in enumerate(theta_rad):
+        beam_integral(places, float(theta), beam, grid.tank, sigma_t_per_mm, out[n])
+    out *= weight[:, None, None]
     return out
 
 
-def _tank_and_beam(tank: Tank, beam: Beam) -> NDArray[np.float64]:
-    angle = math.radians(beam.angle_deg)
-    return np.array(
-        [
-            tank.depth_mm,
-            tank.width_mm,
-            beam.from_mm,
-            beam.to_mm,
-            math.cos(angle),
-            math.sin(angle),
-        ]
+def places_of(grid: Grid, *, lines_of_x: bool = False) -> tuple[Array, Array, Array, Array]:
+    """Return x of each line and of each node on it, y of each line and of each node, mm.
+
+    The point (p, q) is at (x_line[p] + x_node[q], y_line[p] + y_node[q]); one of either is zero.
+    """
+    x, y = grid.x_mm, grid.y_mm
+    if lines_of_x:
+        return x, np.zeros(grid.n_y), np.zeros(grid.n_x), y
+    return np.zeros(grid.n_y), x, y, np.zeros(grid.n_x)
+
+
+def beam_integral(
+    places: tuple[Array, Array, Array, Array],
+    theta_rad: float,
+    beam: Beam,
+    tank: Tank,
+    sigma_t_per_mm: float,
+    out: Array,
+) -> None:
+    """Add the integral of exp(-sigma_t s) L_1 backwards along rays of one direction to ``out``.
+
+    Parameters
+    ----------
+    places : see `places_of`
+    out : (n_lines, n_nodes), mm
+
+    Notes
+    -----
+    Over one linear piece of the profile the integrand is exp(-base - rate s) times a linear
+    function. It is counted from the brighter end, with base + rate s and tau = abs(rate) length
+    there: the other end may underflow where the beam is grazing.
+    """
+    heights, irradiance = beam.profile_points()
+    ray = _describe_ray(theta_rad, math.radians(beam.angle_deg), sigma_t_per_mm)
+    dimming, tau, bright, dark = np.empty((4, *out.shape))
+    for k in range(heights.size - 1):
+        strip = (heights[k], heights[k + 1], irradiance[k], irradiance[k + 1])
+        _cut_rays(*places, ray, (tank.depth_mm, tank.width_mm), strip, dimming, tau, bright, dark)
+        _integrate(dimming, tau, bright, dark if strip[2] != strip[3] else None)
+        out += bright
+
+
+def _integrate(dimming: Array, tau: Array, bright: Array, dark: Array | None) -> None:
+    """Turn ``bright`` into exp(-dimming) times the integral of exp(-tau t) over 0 .. 1.
+
+    With what rises linearly from ``bright`` to ``dark`` as a factor; without ``dark`` it stays.
+    """
+    thin = np.flatnonzero(tau.ravel() < 0.02)
+    few = tau.ravel()[thin]
+    np.exp(np.negative(dimming, out=dimming), out=dimming)
+    left = np.exp(-tau)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        e0 = (1.0 - left) / tau
+        # The closed forms lose their digits where tau is small; the series is exact to 1e-12.
+        e0.ravel()[thin] = 1 - few * (1 / 2 - few * (1 / 6 - few * (1 / 24 - few / 120)))
+        if dark is None:
+            bright *= e0
+        else:
+            e1 = (e0 - left) / tau
+            e1.ravel()[thin] = 1 / 2 - few * (1 / 3 - few * (1 / 8 - few * (1 / 30 - few / 144)))
+            bright *= e0 - e1
+            bright += dark * e1
+    bright *= dimming
+
+
+def _describe_ray(
+    theta_rad: float, slant_rad: float, sigma_t_per_mm: float
+) -> tuple[float, float, float, float, float, float]:
+    """Return what the rays of one direction share.
+
+    1/cos and 1/sin of the direction (infinite along an axis); the beam's slope; by how much the
+    height of entry falls per mm back along the ray; the beam's extinction per mm of depth, and
+    that of ray and beam together per mm back along the ray.
+    """
+    cos_t, sin_t = math.cos(theta_rad), math.sin(theta_rad)
+    cos_0, slope = math.cos(slant_rad), math.tan(slant_rad)
+    drift = sin_t - cos_t * slope
+    return (
+        1.0 / cos_t if cos_t else math.inf,
+        1.0 / sin_t if sin_t else math.inf,
+        slope,
+        drift if abs(drift) > 1e-14 else 0.0,
+        sigma_t_per_mm / cos_0,
+        sigma_t_per_mm * (1.0 - cos_t / cos_0),
     )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cut_rays(
+    x_line: Array,
+    x_node: Array,
+    y_line: Array,
+    y_node: Array,
+    ray: tuple[float, float, float, float, float, float],
+    tank: tuple[float, float],
+    strip: tuple[float, float, float, float],
+    dimming: Array,
+    tau: Array,
+    bright: Array,
+    dark: Array,
+) -> None:
+    """Find the piece of each ray that lies in one strip of the beam, for `beam_integral`.
+
+    Its ends have the optical depths ``dimming`` and dimming + ``tau``; ``bright`` and ``dark``
+    are the irradiance that entered there times the piece's length, zero for a ray that misses
+    (whose tau is one, no special case later on).
+    """
+    inverse_cos, inverse_sin, slope, drift, beam_rate, rate = ray
+    low, high, at_low, at_high = strip
+    rise = (at_high - at_low) / (high - low)
+    wall_x = 0.0 if inverse_cos > 0.0 else tank[0]
+    wall_y = 0.0 if inverse_sin > 0.0 else tank[1]
+    per_entry = 1.0 / drift if drift != 0.0 else 0.0
+    for p in range(dimming.shape[0]):
+        for q in range(dimming.shape[1]):
+            x, y = x_line[p] + x_node[q], y_line[p] + y_node[q]
+            far_x = (x - wall_x) * inverse_cos if inverse_cos != math.inf else 1e300
+            far_y = (y - wall_y) * inverse_sin if inverse_sin != math.inf else 1e300
+            entry = y - x * slope
+            if drift != 0.0:
+                s_low, s_high = (entry - low) * per_entry, (entry - high) * per_entry
+            else:
+                s_low, s_high = (-1e300, 1e300) if low < entry < high else (0.0, 0.0)
+            begin = max(0.0, min(s_low, s_high))
+            end = max(begin, min(far_x, far_y, max(s_low, s_high)))
+            span = end - begin
+            near, deep = (begin, end) if rate >= 0.0 else (end, begin)
+            dimming[p, q] = beam_rate * x + rate * near
+            tau[p, q] = abs(rate) * span if span > 0.0 else 1.0
+            bright[p, q] = span * max(at_low + rise * (entry - drift * near - low), 0.0)
+            dark[p, q] = span * max(at_low + rise * (entry - drift * deep - low), 0.0)

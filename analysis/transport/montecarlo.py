@@ -82,7 +82,7 @@ def simulate(
     if n_bounces < 2 or n_paths < N_BATCHES:
         msg = f"{n_paths} paths of {n_bounces} bounces: at least {N_BATCHES} paths of 2 are needed."
         raise AnalysisError(msg)
-    beam.within(tank)
+    beam = beam.entering(tank)
     n_x = max(1, round(tank.depth_mm / cell_mm))
     n_y = max(1, round(tank.width_mm / cell_mm))
     n_batch = n_paths // N_BATCHES

@@ -39,5 +39,5 @@ class ImportManifest(Setup):
     @model_validator(mode="after")
     def _beam_enters(self) -> ImportManifest:
         if self.beam is not None and self.tank is not None:
-            self.beam.record().within(self.tank.record())
+            self.beam.record().entering(self.tank.record())
         return self

@@ -18,6 +18,9 @@ class MediumConfig(Model):
     sigma_s_per_mm: float
     g: float
     phase: Literal["hg-plane", "hg-paper"] = "hg-plane"
+    gain: Literal["refused", "allowed"] = Field(
+        "refused", description="allowed lets sigma_s exceed sigma_t"
+    )
 
     @model_validator(mode="after")
     def _is_physical(self) -> MediumConfig:
@@ -31,6 +34,7 @@ class MediumConfig(Model):
             sigma_s_per_mm=self.sigma_s_per_mm,
             g=self.g,
             phase=self.phase,
+            gain=self.gain,
         )
 
 
@@ -64,5 +68,5 @@ class Scene(Model):
 
     @model_validator(mode="after")
     def _beam_enters(self) -> Scene:
-        self.beam.record().within(self.tank.record())
+        self.beam.record().entering(self.tank.record())
         return self

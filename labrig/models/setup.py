@@ -73,6 +73,9 @@ class BeamConfig(Model):
     from_mm: float
     to_mm: float
     angle_deg: float = 0.0
+    profile: tuple[tuple[float, float], ...] | None = Field(
+        None, description="pairs [y_mm, irradiance] from from_mm to to_mm; else irradiance one"
+    )
 
     @model_validator(mode="after")
     def _is_a_beam(self) -> BeamConfig:
@@ -81,7 +84,12 @@ class BeamConfig(Model):
 
     def record(self) -> Beam:
         """Return the analysis' record of this beam."""
-        return Beam(from_mm=self.from_mm, to_mm=self.to_mm, angle_deg=self.angle_deg)
+        return Beam(
+            from_mm=self.from_mm,
+            to_mm=self.to_mm,
+            angle_deg=self.angle_deg,
+            profile=self.profile,
+        )
 
 
 class StripesConfig(Model):

@@ -98,7 +98,8 @@ class Picture:
         drift = self._x_mm * self._slope if self._slope else np.zeros(1)
         entry = fine_y[:, None] - drift[None, :]
         lit = (entry > beam.from_mm) & (entry < beam.to_mm)
-        shown = lit * self._blurred(levels, entry)
+        profile = np.interp(entry, *beam.record().profile_points())
+        shown = lit * profile * self._blurred(levels, entry)
         rows = shown.reshape(self._y_mm.size, SUBPIXELS, -1).mean(axis=1)
         rate = self._scene.medium.sigma_t_per_mm / math.cos(math.radians(beam.angle_deg))
         half = 0.5 * rate * self._pixel_mm

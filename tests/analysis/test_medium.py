@@ -38,7 +38,7 @@ def test_a_medium_that_cannot_be_is_refused(wrong, named):
         lambda: Tank(depth_mm=math.nan, width_mm=1.0),
         lambda: Beam(from_mm=2.0, to_mm=1.0),
         lambda: Beam(from_mm=0.0, to_mm=1.0, angle_deg=90.0),
-        lambda: Beam(from_mm=-1.0, to_mm=1.0).within(Tank(depth_mm=1.0, width_mm=2.0)),
+        lambda: Beam(from_mm=-1.0, to_mm=1.0).entering(Tank(depth_mm=1.0, width_mm=2.0)),
         lambda: Grid.covering(Tank(depth_mm=1.0, width_mm=1.0), cell_mm=0.0, n_theta=16),
         lambda: Grid(tank=Tank(depth_mm=1.0, width_mm=1.0), n_x=2, n_y=9, n_theta=16),
     ],

@@ -1,0 +1,148 @@
+"""Tolerance in, cheapest grid out: a first guess from the scene's scales, mended by measurement.
+
+The error of an order is the relative rms of its fluence over the nodes above one percent of its
+maximum. It is measured between three nested grids, of which the coarser two cost a seventh of
+the finest, and never assumed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from analysis.light_field import Grid
+from analysis.medium import Beam, Medium, Tank
+from analysis.phase_function import UNRESOLVED, Array
+
+BRIGHT = 1e-2  # nodes darker than this share of an order's maximum do not count
+RATES = (1.0, 2.3)  # powers of the cell that errors fall with; others are not believed
+USUAL_RATE = 2.0
+MARGIN = 1.1  # stated error over the one extrapolated
+SECOND_RATE = 1.6  # power of the number of directions that the second order's error falls with
+
+# The guess, fitted to what 28 scenes needed for an error of 1e-3 (docs/accuracy.md).
+CELL_MEAN_FREE_PATHS = 0.16
+CELL_BEAM_WIDTHS = 0.16
+ANGLES = 34.0
+SECOND_ANGLES = 75.0
+WIDE_BEAM_MEAN_FREE_PATHS = 5.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Resolution:
+    """Cells and directions of a solution, nested so that coarser ones can measure its error.
+
+    Attributes
+    ----------
+    cells_x, cells_y : multiples of four
+    n_theta : directions, a multiple of sixteen
+    n_second : directions that the fluence of the second bounce, known in closed form, is summed
+        over; no more than n_theta means those of the light field
+    """
+
+    cells_x: int
+    cells_y: int
+    n_theta: int
+    n_second: int
+
+    def grid(self, tank: Tank) -> Grid:
+        """Return the finest grid."""
+        return Grid(tank=tank, n_x=self.cells_x + 1, n_y=self.cells_y + 1, n_theta=self.n_theta)
+
+    def coarser(self, tank: Tank, times: int, g: float) -> Grid:
+        """Return the grid of every second or fourth node, and as many fewer directions.
+
+        As long as these resolve the phase function.
+        """
+        return Grid(
+            tank=tank,
+            n_x=self.cells_x // times + 1,
+            n_y=self.cells_y // times + 1,
+            n_theta=min(self.n_theta, max(4 * (self.n_theta // times // 4), resolvable(g))),
+        )
+
+    def refined(self, times: float) -> Resolution:
+        """Return this resolution with cells and directions refined, or coarsened, alike."""
+        return Resolution(
+            cells_x=_cells(self.cells_x * times),
+            cells_y=_cells(self.cells_y * times),
+            n_theta=_sixteens(self.n_theta * math.sqrt(times)),
+            n_second=self.n_second,
+        )
+
+    def radiances(self, n_bounces: int) -> float:
+        """Return how many radiances are computed, the coarser companions included."""
+        nodes = (self.cells_x + 1.0) * (self.cells_y + 1.0)
+        of_second = self.n_second if self.n_second > self.n_theta else 0
+        return nodes * (1.15 * self.n_theta * max(n_bounces - 1, 0) + 0.5 * of_second)
+
+
+def guess(medium: Medium, tank: Tank, beam: Beam, tolerance: float) -> Resolution:
+    """Return cells and directions that most scenes of such scales need for a tolerance."""
+    width = beam.to_mm - beam.from_mm
+    finer = 1e-3 / tolerance
+    sigma_t = max(medium.sigma_t_per_mm, 1.0 / max(tank.depth_mm, tank.width_mm))
+    # Light aslant, and more so if scattered forward, stays in a thinner layer at the face.
+    layer = math.cos(math.radians(beam.angle_deg)) ** (0.5 + 0.5 * max(medium.g, 0.0))
+    peaked = max(1.0 - medium.g**2, 1e-4)
+    by_path = CELL_MEAN_FREE_PATHS * peaked**0.45 * layer / sigma_t
+    cell_mm = finer ** (-1.0 / 2.2) / math.hypot(1.0 / by_path, 1.0 / (CELL_BEAM_WIDTHS * width))
+    narrow = max(1.0, WIDE_BEAM_MEAN_FREE_PATHS / (sigma_t * width)) ** 0.5
+    forward = 1.0 - min(abs(medium.g), 0.9999)
+    least = resolvable(medium.g)
+    return Resolution(
+        cells_x=_cells(tank.depth_mm / cell_mm),
+        cells_y=_cells(tank.width_mm / cell_mm),
+        n_theta=max(least, _sixteens(ANGLES / forward**0.5 * finer**0.55)),
+        n_second=max(least, _sixteens(SECOND_ANGLES * narrow / forward**0.6 * finer**0.6)),
+    )
+
+
+def resolvable(g: float) -> int:
+    """Return the least number of directions, in sixteens, that resolve the phase function."""
+    least = 32.0 if g == 0.0 else 2.0 * math.log(UNRESOLVED) / math.log(abs(g))
+    return _sixteens(least)
+
+
+def relative_error(found: Array, truth: Array) -> float:
+    """Return the rms of ``found - truth`` over that of ``truth``, where that is bright."""
+    bright = truth > BRIGHT * truth.max()
+    if not bright.any():
+        return 0.0
+    return float(np.sqrt(np.sum((found - truth)[bright] ** 2) / np.sum(truth[bright] ** 2)))
+
+
+def relative_errors(found: Array, truth: Array) -> Array:
+    """Return the relative error of each order, ``truth`` having twice as fine a grid, (K,)."""
+    pairs = zip(found, truth[:, ::2, ::2], strict=True)
+    return np.array([relative_error(one, other) for one, other in pairs])
+
+
+def expected(change: Array) -> float:
+    """Return the worst error to expect of a grid twice as fine as the finer of two.
+
+    ``change`` is the difference between these two, by order.
+    """
+    worst = float(change.max(initial=0.0))
+    return worst / (2.0**USUAL_RATE - 1.0) / float(2.0**USUAL_RATE)
+
+
+def extrapolate(before: Array, change: Array) -> Array:
+    """Return the error of the finest of three nested solutions, by order.
+
+    From the differences between the first and second, and between the second and third: their
+    ratio is the power that the error falls with.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rate = np.nan_to_num(np.log2(before / change), nan=RATES[1])
+    return np.asarray(MARGIN * change / (2.0 ** np.clip(rate, *RATES) - 1.0))
+
+
+def _cells(n: float) -> int:
+    return max(12, 4 * math.ceil(n / 4.0 - 1e-9))
+
+
+def _sixteens(n: float) -> int:
+    return max(32, 16 * math.ceil(n / 16.0 - 1e-9))
