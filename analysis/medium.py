@@ -10,6 +10,9 @@ import math
 from dataclasses import dataclass, fields
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from analysis.errors import AnalysisError
 
 Phase = Literal["hg-plane", "hg-paper"]
@@ -81,15 +84,24 @@ class Tank:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Beam:
-    """Parallel light entering at x = 0 between two heights, uniform there.
+    """Parallel light entering at x = 0 between two heights.
 
-    The irradiance is counted across the beam, so the ballistic fluence is one where the beam
-    enters, whatever its slant. ``angle_deg`` is the direction inside the medium.
+    The irradiance is counted across the beam, so the ballistic fluence where the beam enters is
+    that irradiance, whatever the slant. ``angle_deg`` is the direction inside the medium.
+    ``profile`` holds (y_mm, irradiance) pairs from ``from_mm`` to ``to_mm``, linear between
+    them; without it the irradiance is one.
+
+    Raises
+    ------
+    AnalysisError
+        If the edges are not in order, the angle does not enter the tank, or the profile is no
+        function of y from edge to edge with finite irradiance >= 0, somewhere positive.
     """
 
     from_mm: float
     to_mm: float
     angle_deg: float = 0.0
+    profile: tuple[tuple[float, float], ...] | None = None
 
     def __post_init__(self) -> None:
         _refuse_non_finite(self)
@@ -99,6 +111,30 @@ class Beam:
         if not -90.0 < self.angle_deg < 90.0:
             msg = f"angle_deg = {self.angle_deg} does not enter the tank; give -90 < angle < 90."
             raise AnalysisError(msg)
+        wrong = self._profile_fault()
+        if wrong:
+            msg = f"the beam's profile {wrong}; give (y_mm, irradiance) from edge to edge."
+            raise AnalysisError(msg)
+
+    def _profile_fault(self) -> str:
+        if self.profile is None:
+            return ""
+        if len(self.profile) < 2:
+            return "has fewer than two points"
+        y_mm, irradiance = self.profile_points()
+        if not (np.isfinite(y_mm).all() and np.all(np.diff(y_mm) > 0.0)):
+            return "does not ascend in y"
+        if y_mm[0] != self.from_mm or y_mm[-1] != self.to_mm:
+            return f"ends at {y_mm[0]} and {y_mm[-1]} mm, not at {self.from_mm} and {self.to_mm} mm"
+        if not np.isfinite(irradiance).all() or irradiance.min() < 0.0:
+            return "has an irradiance that is negative or no finite number"
+        return "" if irradiance.any() else "is dark throughout"
+
+    def profile_points(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return heights (mm) and irradiances of the profile, (n,) each; a top hat has two."""
+        pairs = self.profile or ((self.from_mm, 1.0), (self.to_mm, 1.0))
+        points = np.asarray(pairs, dtype=np.float64)
+        return points[:, 0], points[:, 1]
 
     def within(self, tank: Tank) -> Beam:
         """Return this beam, refused unless it enters the tank wholly.

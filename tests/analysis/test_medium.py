@@ -49,6 +49,33 @@ def test_geometry_that_cannot_be_is_refused(make):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("profile", "named"),
+    [
+        (((1.0, 1.0),), "fewer than two"),
+        (((1.0, 1.0), (1.0, 2.0), (2.0, 1.0)), "ascend"),
+        (((1.0, 1.0), (math.nan, 2.0), (2.0, 1.0)), "ascend"),
+        (((1.0, 1.0), (1.9, 1.0)), "not at 1.0 and 2.0"),
+        (((1.0, 1.0), (2.0, -0.1)), "negative"),
+        (((1.0, math.inf), (2.0, 1.0)), "no finite"),
+        (((1.0, 0.0), (2.0, 0.0)), "dark"),
+    ],
+)
+def test_a_profile_that_cannot_be_is_refused(profile, named):
+    with pytest.raises(AnalysisError, match=named) as caught:
+        Beam(from_mm=1.0, to_mm=2.0, profile=profile)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_profile_is_read_back_and_a_top_hat_has_two_points():
+    y_mm, irradiance = Beam(
+        from_mm=1.0, to_mm=4.0, profile=((1.0, 0.0), (2.0, 3.0), (4.0, 0.5))
+    ).profile_points()
+    assert (y_mm.tolist(), irradiance.tolist()) == ([1.0, 2.0, 4.0], [0.0, 3.0, 0.5])
+    y_mm, irradiance = Beam(from_mm=1.0, to_mm=4.0).profile_points()
+    assert (y_mm.tolist(), irradiance.tolist()) == ([1.0, 4.0], [1.0, 1.0])
+
+
 def test_solvers_refuse_what_they_cannot_answer():
     tank, beam, medium = (
         Tank(depth_mm=4.0, width_mm=4.0),
