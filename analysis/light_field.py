@@ -103,13 +103,38 @@ def _nearest(position: Array, nodes: Array) -> NDArray[np.int64]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Cells:
+    """Cells that fill the tank, and angle bins: where values are means, not point values."""
+
+    tank: Tank
+    n_x: int
+    n_y: int
+    n_theta: int
+
+    @property
+    def x_mm(self) -> Array:
+        """Depth of the cells' centres, (n_x,)."""
+        return np.asarray((np.arange(self.n_x) + 0.5) * (self.tank.depth_mm / self.n_x))
+
+    @property
+    def y_mm(self) -> Array:
+        """Height of the cells' centres along the lit face, (n_y,)."""
+        return np.asarray((np.arange(self.n_y) + 0.5) * (self.tank.width_mm / self.n_y))
+
+    @property
+    def theta_rad(self) -> Array:
+        """Centres of the angle bins, (n_theta,)."""
+        return 2.0 * np.pi * (np.arange(self.n_theta) + 0.5) / self.n_theta
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BounceField:
     """Light of every bounce: what the camera sees of it, and where it travels.
 
     Attributes
     ----------
-    fluence : (K, n_y, n_x), phi_k for k = 1 .. K, each with sigma_s^(k-1) applied; point values,
-        the ballistic fluence being one where the beam enters
+    fluence : (K, n_y, n_x), phi_k for k = 1 .. K, each with sigma_s^(k-1) applied; point values
+        on a `Grid`, means on `Cells`, the ballistic fluence being one where the beam enters
     light_field : (K - 1, n_y, n_x, n_theta), L_k for k = 2 .. K, radiance per radian, likewise;
         the ballistic beam is a delta and stays out. None where it was not asked for, or where
         light keeps its direction and all of it is a delta
@@ -119,7 +144,7 @@ class BounceField:
 
     medium: Medium
     beam: Beam
-    grid: Grid
+    grid: Grid | Cells
     fluence: Array
     light_field: NDArray[np.floating[Any]] | None
     engine: str

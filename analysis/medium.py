@@ -123,23 +123,24 @@ class Beam:
         if not -90.0 < self.angle_deg < 90.0:
             msg = f"angle_deg = {self.angle_deg} does not enter the tank; give -90 < angle < 90."
             raise AnalysisError(msg)
-        if self.profile is not None:
-            self._refuse_bad_profile()
+        wrong = self._profile_fault()
+        if wrong:
+            msg = f"the beam's profile {wrong}; give (y_mm, irradiance) from edge to edge."
+            raise AnalysisError(msg)
 
-    def _refuse_bad_profile(self) -> None:
-        y, irradiance = self.profile_points()
-        if y.size < 2 or not (np.all(np.isfinite(y)) and np.all(np.diff(y) > 0.0)):
-            msg = "profile: two or more points of rising finite y_mm are needed."
-            raise AnalysisError(msg)
-        if y[0] != self.from_mm or y[-1] != self.to_mm:
-            msg = (
-                f"profile runs from {y[0]} to {y[-1]} mm, the beam from {self.from_mm} to "
-                f"{self.to_mm} mm; give both the same ends."
-            )
-            raise AnalysisError(msg)
-        if not np.all(np.isfinite(irradiance)) or irradiance.min() < 0.0 or irradiance.max() == 0.0:
-            msg = "profile: irradiances must be finite, none negative, and not all zero."
-            raise AnalysisError(msg)
+    def _profile_fault(self) -> str:
+        if self.profile is None:
+            return ""
+        if len(self.profile) < 2:
+            return "has fewer than two points"
+        y_mm, irradiance = self.profile_points()
+        if not (np.isfinite(y_mm).all() and np.all(np.diff(y_mm) > 0.0)):
+            return "does not ascend in y"
+        if y_mm[0] != self.from_mm or y_mm[-1] != self.to_mm:
+            return f"ends at {y_mm[0]} and {y_mm[-1]} mm, not at {self.from_mm} and {self.to_mm} mm"
+        if not np.isfinite(irradiance).all() or irradiance.min() < 0.0:
+            return "has an irradiance that is negative or no finite number"
+        return "" if irradiance.any() else "is dark throughout"
 
     def profile_points(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return heights (mm) and irradiances between which the profile is linear."""

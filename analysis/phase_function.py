@@ -78,3 +78,15 @@ def scattering_moments(
     basis = np.concatenate([np.ones((1, theta_rad.size)), np.cos(angle), np.sin(angle)])
     weights = np.concatenate([coefficients[:1], *[2.0 * coefficients[m]] * 2]) / (2.0 * np.pi)
     return basis, np.asarray(weights)
+
+
+def convolution_matrix(g: float, phase: Phase, n_theta: int) -> Array:
+    """Return S of shape (n_theta, n_theta): S @ L is the integral of p(theta - theta') L(theta').
+
+    For n_theta equal angles, from all the moments that these resolve.
+    """
+    theta = 2.0 * np.pi * (np.arange(n_theta) + 0.5) / n_theta
+    basis, weights = scattering_moments(
+        g, phase, theta, n_orders=(n_theta + 1) // 2, negligible=0.0
+    )
+    return np.asarray((basis.T * weights) @ basis * (2.0 * np.pi / n_theta))

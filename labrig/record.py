@@ -282,7 +282,7 @@ def _profiles(decay: Decay, unit: str) -> dict[str, Field]:
 
 
 def _bounces(outcome: Outcome, explained: Explained) -> dict[str, Field]:
-    grid = explained.bounces.grid
+    grid = explained.grid
     single, _ = grid.average(outcome.separated.best.single, outcome.pictures.pixel)
     return {
         **bounce_fields(explained.bounces, outcome.pictures.unit),

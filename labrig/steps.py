@@ -74,6 +74,7 @@ class Explained:
 
     inversion: Inversion
     multiple: Array
+    grid: Grid
     bounces: BounceField
     notes: tuple[str, ...]
 
@@ -237,6 +238,7 @@ def explain(
     return Explained(
         inversion=found,
         multiple=multiple,
+        grid=grid,
         bounces=solve_on(medium, decay.beam, grid, n_bounces=n_bounces),
         notes=tuple(notes),
     )

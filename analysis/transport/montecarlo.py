@@ -14,17 +14,20 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from analysis.errors import AnalysisError
 from analysis.medium import Beam, Medium, Tank
+from analysis.phase_function import power_removed
+from analysis.transport.montecarlo_kernels import Array, follow
 
-Array = NDArray[np.float64]
-Scores = tuple[Array, NDArray[np.complex128]]
+Density = tuple[Array, Array, Array]
 
 N_BATCHES = 16
-NEGLIGIBLE_TRANSMISSION = 1e-5  # a ray is followed until this share of it is left
+FIRST_PATHS = 256  # of each batch, before its noise is first looked at
+LARGEST_STEP = 8.0  # by which the number of paths grows on the word of that noise
+N_LATTICE = 5  # dimensions of the lattice: the entry, then two for each bounce
+N_PSI = 8193  # nodes of the tabulated hg-paper, whose error is then below 1e-8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,18 +37,30 @@ class SampledField:
     Attributes
     ----------
     fluence, std_error : (K - 1, n_y, n_x), phi_k of bounces k = 2 .. K with sigma_s^(k-1)
-        applied, for unit irradiance across the beam
+        applied, for the irradiance of the beam (one, if it has no profile)
     modulated : (n_harmonics, n_y, n_x), complex; the sum of bounces 2 .. K under light entering
         as exp(i h q y), divided by exp(i h q (y - x tan(theta_0))), which is how the beam would
         carry it to where it is seen; one for each harmonic h
+    radiance, radiance_std_error : (n_chosen, n_y, n_x, n_theta), per radian, averaged over the
+        cell and the angle bin, for the bounces chosen
     x_mm, y_mm : cell centres
+    theta_rad : (n_theta,), centres of the angle bins, 2 pi (n + 1/2) / n_theta
+    n_paths : paths followed
     """
 
     fluence: Array
     std_error: Array
     modulated: NDArray[np.complex128]
+    radiance: Array
+    radiance_std_error: Array
     x_mm: Array
     y_mm: Array
+    theta_rad: Array
+    n_paths: int
+
+    def relative_noise(self) -> Array:
+        """Return each order's rms of std_error / fluence in cells above 1 % of its maximum."""
+        return _relative_noise(self.fluence, self.std_error)
 
 
 def simulate(
@@ -59,6 +74,9 @@ def simulate(
     seed: int,
     stripe_wavenumber_per_mm: float = 0.0,
     harmonics: tuple[int, ...] = (),
+    angular_bounces: tuple[int, ...] = (),
+    n_theta: int = 64,
+    until_std_error: float | None = None,
     n_threads: int = 2,
     progress: Callable[[int, int], None] | None = None,
 ) -> SampledField:
@@ -68,73 +86,218 @@ def simulate(
     ----------
     stripe_wavenumber_per_mm : 2 pi / period of stripes along y
     harmonics : ascending multiples of it whose modulation is wanted
-    progress : called with (batches done, batches in all)
+    angular_bounces : bounces whose radiance is wanted in ``n_theta`` angle bins
+    until_std_error : stop once the relative noise of every order is below this; ``n_paths`` is
+        then the most that are followed. The answer is the one that this number of paths gives
+    progress : called with (batches done, batches in all), from the start in each round
 
     Raises
     ------
     AnalysisError
-        If the phase function is not ``hg-plane`` (the only one sampled here), the beam leaves
-        the face, or a count is too small.
+        If the beam leaves the face, the literal phase function has no integral (|g| = 1), a
+        bounce is not there, or a number is too small.
+
+    Notes
+    -----
+    With ``hg-paper`` a bounce multiplies the weight by its integral N3(g), so weights may grow;
+    roulette then lets every path live. The noise is that of sixteen batches, so a standard error
+    is itself known to 18 %. They are held until the end: an angular field takes 128 bytes for
+    each bounce, cell and bin.
     """
-    if medium.phase != "hg-plane":
-        msg = f"phase = {medium.phase!r}: the Monte Carlo samples hg-plane only; choose that."
-        raise AnalysisError(msg)
-    if n_bounces < 2 or n_paths < N_BATCHES:
-        msg = f"{n_paths} paths of {n_bounces} bounces: at least {N_BATCHES} paths of 2 are needed."
+    _refuse(medium, n_bounces, n_paths, cell_mm, angular_bounces, n_theta)
+    if until_std_error is not None and not until_std_error > 0.0:
+        msg = f"until_std_error = {until_std_error}: the noise asked for must be positive."
         raise AnalysisError(msg)
     beam = beam.entering(tank)
     n_x = max(1, round(tank.depth_mm / cell_mm))
     n_y = max(1, round(tank.width_mm / cell_mm))
-    n_batch = n_paths // N_BATCHES
-    angle = math.radians(beam.angle_deg)
-    orders = np.asarray(harmonics, dtype=np.int64)
-
-    def run(batch: int) -> Scores:
-        scores = np.zeros((n_bounces - 1, n_y, n_x))
-        modulated = np.zeros((n_y, n_x, orders.size), dtype=np.complex128)
-        _follow(
-            np.array([medium.sigma_t_per_mm, medium.albedo, medium.g]),
-            np.array([tank.depth_mm, tank.width_mm]),
-            np.array([beam.from_mm, beam.to_mm, angle]),
-            n_batch,
-            np.random.default_rng([seed, batch]),
-            _lattice(5),
-            stripe_wavenumber_per_mm,
-            orders,
-            scores,
-            modulated,
+    batches = [
+        _Batch(
+            medium,
+            tank,
+            beam,
+            seed=[seed, number],
+            shape=(n_bounces - 1, n_y, n_x),
+            wavenumber_per_mm=stripe_wavenumber_per_mm,
+            harmonics=harmonics,
+            angular_bounces=angular_bounces,
+            n_theta=n_theta,
         )
-        return scores, modulated
+        for number in range(N_BATCHES)
+    ]
+    most = n_paths // N_BATCHES
+    n_batch = most if until_std_error is None else min(most, FIRST_PATHS)
+    while True:
+        _run_all(batches, n_batch, n_threads, progress)
+        fluence, std_error = _mean_and_error([batch.scores for batch in batches])
+        if until_std_error is None or n_batch == most:
+            break
+        excess = float(_relative_noise(fluence, std_error).max()) / until_std_error
+        if excess <= 1.0:
+            break
+        n_batch = min(most, math.ceil(n_batch * min(1.1 * excess**2, LARGEST_STEP)))
 
-    batches = _run_all(run, n_threads, progress)
-    scores = np.stack([batch for batch, _ in batches])
+    y_points, irradiance = beam.profile_points()
     # Irradiance is counted across the beam: a slanted one brings its cosine to the face.
-    power = (beam.to_mm - beam.from_mm) * math.cos(angle)
+    power = float(np.trapezoid(irradiance, y_points)) * math.cos(math.radians(beam.angle_deg))
     weight = power / (n_batch * (tank.depth_mm / n_x) * (tank.width_mm / n_y))
+    radiance, radiance_error = _mean_and_error([batch.lobes for batch in batches])
+    per_bin = weight * n_theta / (2.0 * math.pi)
     return SampledField(
-        fluence=weight * scores.mean(axis=0),
-        std_error=weight * scores.std(axis=0, ddof=1) / math.sqrt(N_BATCHES),
-        modulated=weight * np.moveaxis(np.mean([wave for _, wave in batches], axis=0), -1, 0),
+        fluence=weight * fluence,
+        std_error=weight * std_error,
+        modulated=weight * np.moveaxis(np.mean([batch.modulated for batch in batches], 0), -1, 0),
+        radiance=per_bin * np.moveaxis(radiance, 1, -1),
+        radiance_std_error=per_bin * np.moveaxis(radiance_error, 1, -1),
         x_mm=(np.arange(n_x) + 0.5) * tank.depth_mm / n_x,
         y_mm=(np.arange(n_y) + 0.5) * tank.width_mm / n_y,
+        theta_rad=2.0 * math.pi * (np.arange(n_theta) + 0.5) / n_theta,
+        n_paths=n_batch * N_BATCHES,
     )
 
 
+def _refuse(
+    medium: Medium,
+    n_bounces: int,
+    n_paths: int,
+    cell_mm: float,
+    angular_bounces: tuple[int, ...],
+    n_theta: int,
+) -> None:
+    """Raise what `simulate` cannot answer."""
+    msg = ""
+    if medium.phase == "hg-paper" and abs(medium.g) == 1.0:
+        msg = f"hg-paper has no integral at g = {medium.g}; choose hg-plane or |g| < 1."
+    elif n_bounces < 2 or n_paths < N_BATCHES:
+        msg = f"{n_paths} paths of {n_bounces} bounces: at least {N_BATCHES} paths of 2 are needed."
+    elif not (math.isfinite(cell_mm) and cell_mm > 0.0):
+        msg = f"cell_mm = {cell_mm}: the cell must be a positive length."
+    elif any(not 2 <= bounce <= n_bounces for bounce in angular_bounces):
+        msg = f"angular_bounces = {angular_bounces}: choose among bounces 2 to {n_bounces}."
+    elif n_theta < 1:
+        msg = f"n_theta = {n_theta}: at least one angle bin is needed."
+    if msg:
+        raise AnalysisError(msg)
+
+
+class _Batch:
+    """A stream of paths of its own, which can be taken further at any time."""
+
+    def __init__(
+        self,
+        medium: Medium,
+        tank: Tank,
+        beam: Beam,
+        *,
+        seed: list[int],
+        shape: tuple[int, int, int],
+        wavenumber_per_mm: float,
+        harmonics: tuple[int, ...],
+        angular_bounces: tuple[int, ...],
+        n_theta: int,
+    ) -> None:
+        n_orders, n_y, n_x = shape
+        power = power_removed(medium.g, medium.phase)
+        self._medium = np.array(
+            [medium.sigma_t_per_mm, medium.sigma_s_per_mm, medium.g, power], dtype=np.float64
+        )
+        self._tank = np.array([tank.depth_mm, tank.width_mm], dtype=np.float64)
+        self._angle = math.radians(beam.angle_deg)
+        self._entry = _with_cumulative(*beam.profile_points())
+        self._stretched = _stretched_phase_function(medium)
+        self._rng = np.random.default_rng(seed)
+        self._shift = self._rng.random(N_LATTICE)
+        self._wavenumber = wavenumber_per_mm
+        self._harmonics = np.asarray(harmonics, dtype=np.int64)
+        self._slots = np.full(n_orders, -1, dtype=np.int64)
+        self._slots[np.asarray(angular_bounces, dtype=np.int64) - 2] = range(len(angular_bounces))
+        self._n_done = 0
+        self.scores = np.zeros(shape)
+        self.lobes = np.zeros((len(angular_bounces), n_theta, n_y, n_x))
+        self.modulated = np.zeros((n_y, n_x, len(harmonics)), dtype=np.complex128)
+
+    def run_to(self, n_paths: int) -> None:
+        """Follow the paths up to number ``n_paths``, as if they had been asked for at once."""
+        follow(
+            self._medium,
+            self._tank,
+            self._angle,
+            self._entry,
+            self._stretched,
+            (self._n_done, n_paths),
+            self._rng,
+            self._shift,
+            _lattice(N_LATTICE),
+            self._wavenumber,
+            self._harmonics,
+            self._slots,
+            self.scores,
+            self.lobes,
+            self.modulated,
+        )
+        self._n_done = n_paths
+
+
 def _run_all(
-    run: Callable[[int], Scores], n_threads: int, progress: Callable[[int, int], None] | None
-) -> list[Scores]:
-    """Run every batch and return them in order, so that a seed gives the same bits every time."""
+    batches: list[_Batch],
+    n_paths: int,
+    n_threads: int,
+    progress: Callable[[int, int], None] | None,
+) -> None:
+    """Take every batch to ``n_paths``; each has its own numbers, whatever the threads."""
     with ThreadPoolExecutor(n_threads) as pool:
-        batches = [pool.submit(run, batch) for batch in range(N_BATCHES)]
+        runs = [pool.submit(batch.run_to, n_paths) for batch in batches]
         try:
-            for done, finished in enumerate(as_completed(batches), start=1):
+            for done, finished in enumerate(as_completed(runs), start=1):
                 finished.result()
                 if progress is not None:
                     progress(done, N_BATCHES)
         except BaseException:
             pool.shutdown(cancel_futures=True)  # Ctrl-C need not wait for all batches
             raise
-    return [finished.result() for finished in batches]
+
+
+def _mean_and_error(scores: list[Array]) -> tuple[Array, Array]:
+    """Return mean and standard error over the batches, of the shape of one."""
+    mean = np.mean(scores, axis=0)
+    squares = np.zeros_like(mean)
+    for batch in scores:
+        squares += (batch - mean) ** 2
+    return mean, np.sqrt(squares / ((len(scores) - 1) * len(scores)))
+
+
+def _relative_noise(fluence: Array, std_error: Array) -> Array:
+    """Return the rms of std_error / fluence in cells above 1 % of each order's maximum, (n,)."""
+    bright = fluence > 1e-2 * fluence.max(axis=(1, 2), keepdims=True)
+    ratio = np.divide(std_error, fluence, out=np.zeros_like(fluence), where=bright)
+    count = np.maximum(bright.sum(axis=(1, 2)), 1)
+    return np.asarray(np.sqrt((ratio**2).sum(axis=(1, 2)) / count))
+
+
+def _with_cumulative(nodes: Array, density: Array) -> Density:
+    """Return what `draw` needs of a piecewise-linear density: it and its share up to each node."""
+    pieces = 0.5 * (density[1:] + density[:-1]) * np.diff(nodes)
+    cumulative = np.concatenate([[0.0], np.cumsum(pieces)])
+    return (
+        np.ascontiguousarray(nodes),
+        np.ascontiguousarray(density),
+        np.asarray(cumulative / cumulative[-1]),
+    )
+
+
+def _stretched_phase_function(medium: Medium) -> Density:
+    """Return the density of the angle psi of `deflect`; empty for hg-plane, where it is uniform.
+
+    Notes
+    -----
+    Eq. 2 has the exponent 3/2, and in psi becomes sqrt(cos^2 + k'^2 sin^2), k' = (1-|g|)/(1+|g|),
+    between -pi/2 and pi/2: its integral is the elliptic E, and no peak is left to be resolved.
+    """
+    if medium.phase == "hg-plane":
+        return np.empty(0), np.empty(0), np.empty(0)
+    psi = np.linspace(-0.5 * math.pi, 0.5 * math.pi, N_PSI)
+    narrow = (1.0 - abs(medium.g)) / (1.0 + abs(medium.g))
+    return _with_cumulative(psi, np.hypot(np.cos(psi), narrow * np.sin(psi)))
 
 
 def _lattice(n_dimensions: int) -> Array:
@@ -143,147 +306,3 @@ def _lattice(n_dimensions: int) -> Array:
     for _ in range(60):
         ratio = (1.0 + ratio) ** (1.0 / (n_dimensions + 1))
     return np.asarray((1.0 / ratio) ** np.arange(1, n_dimensions + 1))
-
-
-@njit(cache=True, nogil=True)
-def _wall_distance(
-    x: float, y: float, cos_t: float, sin_t: float, depth: float, width: float
-) -> float:
-    """Return the way from (x, y) along a direction to the wall, mm."""
-    far = 1e300
-    if cos_t > 0.0:
-        far = min(far, (depth - x) / cos_t)
-    elif cos_t < 0.0:
-        far = min(far, -x / cos_t)
-    if sin_t > 0.0:
-        far = min(far, (width - y) / sin_t)
-    elif sin_t < 0.0:
-        far = min(far, -y / sin_t)
-    return max(far, 0.0)
-
-
-@njit(cache=True, nogil=True)
-def _score_ray(
-    origin: tuple[float, float, float],
-    direction: tuple[float, float, float],
-    cell: tuple[float, float],
-    reach: float,
-    sigma_t: float,
-    weight: float,
-    wavenumber: float,
-    harmonics: NDArray[np.int64],
-    wave: NDArray[np.complex128],
-    scores: Array,
-    modulated: NDArray[np.complex128],
-) -> None:
-    """Add a ray's expected fluence times cell area to each cell it crosses.
-
-    ``origin`` is (x, y, lag) and ``direction`` (cos, sin, drift): the stripes seen at a point lag
-    behind those of the beam there by ``lag`` mm, which grows by ``drift`` per mm of the ray. The
-    phase exp(-i q lag) is integrated exactly along each piece of the ray.
-    """
-    x, y, lag = origin
-    cos_t, sin_t, drift = direction
-    cell_y, cell_x = cell
-    n_y, n_x = scores.shape
-    i = min(max(int(x / cell_x), 0), n_x - 1)
-    j = min(max(int(y / cell_y), 0), n_y - 1)
-    step_x, step_y = (1 if cos_t > 0.0 else -1), (1 if sin_t > 0.0 else -1)
-    edge_x, edge_y = (i + (cos_t > 0.0)) * cell_x, (j + (sin_t > 0.0)) * cell_y
-    next_x = (edge_x - x) / cos_t if cos_t != 0.0 else 1e300
-    next_y = (edge_y - y) / sin_t if sin_t != 0.0 else 1e300
-    pitch_x = cell_x / abs(cos_t) if cos_t != 0.0 else 1e300
-    pitch_y = cell_y / abs(sin_t) if sin_t != 0.0 else 1e300
-    n_h = harmonics.size
-    for h in range(n_h):
-        q = harmonics[h] * wavenumber
-        begin = q * lag
-        wave[0, h] = complex(math.cos(begin), -math.sin(begin))
-        wave[1, h] = weight / complex(sigma_t, q * drift)
-    turn = turned = complex(1.0, 0.0)
-    power = 1
-    left, s = 1.0, 0.0
-    while s < reach and 0 <= i < n_x and 0 <= j < n_y:
-        s_next = min(next_x, next_y, reach)
-        left_next = math.exp(-sigma_t * s_next)
-        scores[j, i] += weight * (left - left_next) / sigma_t
-        if n_h > 0:
-            end = wavenumber * (lag + s_next * drift)
-            turn = complex(math.cos(end), -math.sin(end))
-            turned, power = turn, 1
-        for h in range(n_h):
-            while power < harmonics[h]:
-                turned *= turn
-                power += 1
-            ended = left_next * turned
-            modulated[j, i, h] += (wave[0, h] - ended) * wave[1, h]
-            wave[0, h] = ended
-        left, s = left_next, s_next
-        if next_x < next_y:
-            i += step_x
-            next_x += pitch_x
-        else:
-            j += step_y
-            next_y += pitch_y
-
-
-@njit(cache=True, nogil=True)
-def _follow(
-    medium: Array,
-    tank: Array,
-    beam: Array,
-    n_paths: int,
-    rng: np.random.Generator,
-    lattice: Array,
-    wavenumber: float,
-    harmonics: NDArray[np.int64],
-    scores: Array,
-    modulated: NDArray[np.complex128],
-) -> None:
-    """Follow one batch of paths; each bounce k = 2 .. K is scored into scores[k - 2]."""
-    sigma_t, albedo, g = medium
-    depth, width = tank
-    low, high, angle = beam
-    n_orders, n_y, n_x = scores.shape
-    cell = (width / n_y, depth / n_x)
-    longest = -math.log(NEGLIGIBLE_TRANSMISSION) / sigma_t
-    slope = math.tan(angle)
-    survival = math.sqrt(albedo)
-    narrow = (1.0 - g) / (1.0 + g)
-    shift = rng.random(lattice.size)
-    wave = np.empty((2, harmonics.size), dtype=np.complex128)
-    for n in range(n_paths):
-        x, y_entry = 0.0, low + (high - low) * ((shift[0] + n * lattice[0]) % 1.0)
-        y, theta, weight = y_entry, angle, 1.0
-        for k in range(n_orders):
-            if 2 * k + 2 < lattice.size:
-                u = (shift[2 * k + 1] + n * lattice[2 * k + 1]) % 1.0
-                v = (shift[2 * k + 2] + n * lattice[2 * k + 2]) % 1.0
-            else:
-                u, v = rng.random(), rng.random()
-            cos_t, sin_t = math.cos(theta), math.sin(theta)
-            caught = -math.expm1(-sigma_t * _wall_distance(x, y, cos_t, sin_t, depth, width))
-            path = -math.log1p(-u * caught) / sigma_t
-            x, y = x + path * cos_t, y + path * sin_t
-            weight *= albedo * caught
-            # The inverse of the cumulative hg-plane, a wrapped Cauchy distribution.
-            theta += 2.0 * math.atan(narrow * math.tan(math.pi * (v - 0.5)))
-            cos_t, sin_t = math.cos(theta), math.sin(theta)
-            reach = min(_wall_distance(x, y, cos_t, sin_t, depth, width), longest)
-            _score_ray(
-                (x, y, y - x * slope - y_entry),
-                (cos_t, sin_t, sin_t - cos_t * slope),
-                cell,
-                reach,
-                sigma_t,
-                weight,
-                wavenumber,
-                harmonics,
-                wave,
-                scores[k],
-                modulated,
-            )
-            # Roulette: dim paths are thinned out, the survivors carry their weight.
-            if rng.random() >= survival:
-                break
-            weight /= survival

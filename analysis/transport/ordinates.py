@@ -63,7 +63,7 @@ class Part:
             lines_of_x=self.of_x,
         )
         with BLAS.limit(limits=1):
-            moments = self.to_moments @ self.radiance.reshape(self.index.size, -1)
+            moments = self.to_moments @ self._flat()
         return np.asarray(moments).reshape(-1, *self.radiance.shape[1:])
 
     def scatter(self, moments: Array, sigma_t_per_mm: float, grid: Grid) -> Array:
@@ -96,8 +96,12 @@ class Part:
                     sigma_t_per_mm,
                     radiance,
                 )
-                out += self.to_moments[:, some] @ radiance.reshape(some.stop - first, -1)
+                out += self.to_moments[:, some] @ self._flat()[some]
         return out.reshape(-1, *shape)
+
+    def _flat(self) -> Array:
+        n, n_lines, n_nodes = self.radiance.shape
+        return self.radiance.reshape(n, n_lines * n_nodes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +151,7 @@ def solve_on(
     marching = march(medium, beam, grid, n_bounces=n_bounces, dtype=dtype)
     for k, radiance in enumerate(marching, start=2):
         weight = bounce_weight(medium, k, radiance.log_scale)
-        np.multiply(radiance.fluence, weight, out=fluence[k - 1])
+        np.multiply(radiance.fluence.astype(np.float64), weight, out=fluence[k - 1])
         if field is not None:
             radiance.light_field(weight, field[k - 2])
     return BounceField(

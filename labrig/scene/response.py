@@ -18,6 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from analysis.errors import AnalysisError
+from analysis.phase_function import power_removed
 from analysis.transport.montecarlo import SampledField, simulate
 from labrig.models.scene import Scene
 
@@ -53,7 +55,16 @@ def tank_response(
 
     Computed once for a medium, tank, beam and period, then read from the cache folder.
     """
-    n_bounces = bounces_needed(scene.medium.record().albedo, scene.transport.tail)
+    medium = scene.medium.record()
+    # With hg-paper a bounce keeps the share albedo * N3(g), which is not below one for every g.
+    kept_share = medium.albedo * power_removed(medium.g, medium.phase)
+    if kept_share > 1.0:
+        msg = (
+            f"{medium.phase} at g = {medium.g}, albedo {medium.albedo:.4g}: a bounce multiplies "
+            f"the light by {kept_share:.4g}, and no number of them is enough; choose hg-plane."
+        )
+        raise AnalysisError(msg)
+    n_bounces = bounces_needed(kept_share, scene.transport.tail)
     question = {
         "version": VERSION,
         "medium": scene.medium.model_dump(),
@@ -70,7 +81,7 @@ def tank_response(
         if found is not None:
             return TankResponse(field=found, n_bounces=n_bounces, from_cache=True)
     sampled = simulate(
-        scene.medium.record(),
+        medium,
         scene.tank.record(),
         scene.beam.record(),
         n_bounces=n_bounces,
@@ -97,7 +108,7 @@ def _read(path: Path) -> SampledField | None:
     """Return what was kept, None if the file is damaged: it is only a cache."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
-            return SampledField(**{f.name: kept[f.name] for f in fields(SampledField)})
+            return SampledField(**{f.name: kept[f.name][()] for f in fields(SampledField)})
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
 

@@ -10,7 +10,7 @@ from analysis.light_field import Grid
 from analysis.medium import Beam, Medium, Tank
 from analysis.separation import separate_extrema, separate_known
 from analysis.transport.montecarlo import simulate
-from analysis.transport.ordinates import fluence_of, march
+from analysis.transport.ordinates import march
 from calibration.hdr import merge
 from calibration.model import CameraModel
 from calibration.projector import stripe_light
@@ -60,7 +60,7 @@ def test_canonical_tank_by_ordinates(benchmark):
     grid = Grid.covering(TANK, cell_mm=cell_mm, n_theta=64)
 
     def orders() -> list[np.ndarray]:
-        return [fluence_of(light) for light in march(MEDIUM, BEAM, grid, n_bounces=8)]
+        return [light.fluence for light in march(MEDIUM, BEAM, grid, n_bounces=8)]
 
     orders()
     benchmark(orders)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import labrig
+from analysis.errors import AnalysisError
 from labrig.config import parse
 from labrig.errors import PlanError, RunError
 from labrig.patterns import draw
@@ -140,6 +141,17 @@ def test_bounces_end_where_the_albedo_says():
     assert bounces_needed(0.5, 1e-3) == 10
     assert bounces_needed(0.0, 1e-3) == 2
     assert bounces_needed(1.0, 1e-3) == 400
+
+
+def test_the_literal_phase_function_ends_sooner_or_never(tmp_path, monkeypatch):
+    monkeypatch.setenv("LABRIG_CACHE", str(tmp_path))
+    medium = {"sigma_t_per_mm": 0.3, "sigma_s_per_mm": 0.15, "g": 0.4, "phase": "hg-paper"}
+    quick = {"n_paths": 1600, "cell_mm": 1.0}
+    # N3(0.4) = 0.619296, and 0.309648^6 is the first below 1e-3
+    assert tank_response(scene_of(medium=medium, transport=quick), period_mm=1.8).n_bounces == 6
+    with pytest.raises(AnalysisError, match=r"hg-paper at g = 0\.9.*choose hg-plane") as caught:
+        tank_response(scene_of(medium={**medium, "g": 0.9}, transport=quick), period_mm=1.8)
+    assert "\n" not in str(caught.value)
 
 
 def test_pictures_the_response_does_not_know_are_refused(picture):

@@ -8,7 +8,7 @@ from analysis.light_field import Grid
 from analysis.medium import Beam, Medium, Tank
 from analysis.phase_function import phase_function, power_removed
 from analysis.transport.montecarlo import simulate
-from analysis.transport.ordinates import solve
+from analysis.transport.ordinates import solve_on
 
 TANK = Tank(depth_mm=100.0, width_mm=75.0)
 BEAM = Beam(from_mm=25.0, to_mm=50.0)
@@ -20,7 +20,7 @@ def wide_half_space(g: float, n_x: int, n_theta: int) -> tuple[np.ndarray, np.nd
     tank = Tank(depth_mm=12.0, width_mm=60.0)
     grid = Grid(tank=tank, n_x=n_x, n_y=61, n_theta=n_theta)
     medium = Medium(sigma_t_per_mm=1.0, sigma_s_per_mm=1.0, g=g)
-    field = solve(medium, Beam(from_mm=0.0, to_mm=60.0), grid, n_bounces=5)
+    field = solve_on(medium, Beam(from_mm=0.0, to_mm=60.0), grid, n_bounces=5)
     return grid.x_mm, field.fluence[:, 30]
 
 
@@ -54,7 +54,7 @@ def test_every_order_keeps_its_energy(g, phase):
     """sigma_t int phi_k + escape_k = f0 sigma_s int phi_(k-1), orders 2 to 6."""
     medium = Medium(sigma_t_per_mm=SIGMA_T, sigma_s_per_mm=0.9 * SIGMA_T, g=g, phase=phase)
     grid = Grid(tank=TANK, n_x=401, n_y=301, n_theta=64)
-    field = solve(medium, BEAM, grid, n_bounces=6)
+    field = solve_on(medium, BEAM, grid, n_bounces=6)
     wx, wy = trapezoid(grid.x_mm), trapezoid(grid.y_mm)
     integrals = [float(wy @ order @ wx) for order in field.fluence]
     integrals[0] = 25.0 * -np.expm1(-SIGMA_T * 100.0) / SIGMA_T
@@ -84,7 +84,7 @@ def test_ordinates_agree_with_monte_carlo(albedo, g, angle_deg):
     medium = Medium(sigma_t_per_mm=SIGMA_T, sigma_s_per_mm=albedo * SIGMA_T, g=g)
     beam = Beam(from_mm=25.0, to_mm=50.0, angle_deg=angle_deg)
     grid = Grid(tank=TANK, n_x=201, n_y=151, n_theta=96)
-    field = solve(medium, beam, grid, n_bounces=6)
+    field = solve_on(medium, beam, grid, n_bounces=6)
     sampled = simulate(medium, TANK, beam, n_bounces=6, n_paths=1_000_000, cell_mm=2.5, seed=11)
     for order in range(2, 7):
         averaged = block_mean(field.fluence[order - 1], 5)
