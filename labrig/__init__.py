@@ -34,9 +34,12 @@ from labrig.pipeline import Until
 from labrig.results import Result
 from labrig.rig import OpenRig
 from labrig.session import Problem, Session
+from labrig.solving import Cost, Solved, explain, write_solution
+from labrig.solving import solve_scene as solve
 
 __all__ = [
     "Analysis",
+    "Cost",
     "OpenRig",
     "Plan",
     "Problem",
@@ -44,9 +47,11 @@ __all__ = [
     "Rig",
     "Scene",
     "Session",
+    "Solved",
     "analyse",
     "capture",
     "config_folder",
+    "explain",
     "import_session",
     "load_analysis",
     "load_plan",
@@ -55,7 +60,9 @@ __all__ = [
     "open_rig",
     "read_results",
     "report",
+    "solve",
     "verify",
+    "write_solution",
 ]
 
 StrPath = str | PathLike[str]

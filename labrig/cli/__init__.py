@@ -14,6 +14,7 @@ from labrig.cli.capture import capture, import_, verify
 from labrig.cli.demo import demo
 from labrig.cli.exits import EXIT_BAD_INPUT, EXIT_DAMAGED, EXIT_DEVICE, EXIT_INTERRUPTED
 from labrig.cli.schema import schema
+from labrig.cli.solve import solve
 from labrig.errors import LabrigError, RunError, SessionError
 
 app = typer.Typer(
@@ -23,7 +24,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-for command in (demo, capture, verify, analyse, report, schema):
+for command in (demo, capture, verify, analyse, report, solve, schema):
     app.command()(command)
 app.command(name="import")(import_)
 
