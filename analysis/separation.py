@@ -289,10 +289,10 @@ def _parts(found: Separation) -> tuple[Array, ...]:
         found.multiple_variance,
         found.detected.view(np.uint8),
         found.chi2,
-    )  # type: ignore[return-value]
+    )
 
 
-def _refuse_stack(net: Array, variance: Array) -> None:
+def _refuse_stack(net: Stack, variance: Stack) -> None:
     if net.ndim != 3 or variance.shape != net.shape or net.shape[0] < 2:
         msg = (
             f"stripe pictures of shape {net.shape} with variance {variance.shape}: "
@@ -437,7 +437,7 @@ def _harmonic(  # noqa: PLR0913, PLR0917
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _seen(direct: float, variance: float) -> bool:
-    """Return whether direct light exceeds its noise; where that is unknown, whether there is any."""
+    """Return whether direct light exceeds its noise; if that is unknown, whether there is any."""
     if np.isnan(variance):
-        return np.isfinite(direct)
-    return direct > DETECTION_SNR * np.sqrt(variance)
+        return bool(np.isfinite(direct))
+    return bool(direct > DETECTION_SNR * np.sqrt(variance))

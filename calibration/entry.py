@@ -64,7 +64,7 @@ def locate_entry(white: Array, pixel: float) -> Entry:
     rows = np.arange(picture.shape[0]) + 0.5
     light = np.clip(picture[:, columns] - 0.5 * picture[:, columns].max(axis=0), 0.0, None)
     middles = (rows[:, None] * light).sum(axis=0) / light.sum(axis=0)
-    x = columns + 0.5 - face
+    x = (columns + 0.5 - face).astype(np.float64)
     slope, at_face, std = _line(x, middles)
     return Entry(
         face_x=face * pixel,

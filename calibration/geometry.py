@@ -115,9 +115,7 @@ class Lens:
         """Return where the lens shows points (n, 2) of an undistorted picture, px."""
         rays = (points_px - self.matrix[:2, 2]) / np.diag(self.matrix)[:2]
         space = np.column_stack([rays, np.ones(len(rays))])
-        found, _ = cv2.projectPoints(
-            space, np.zeros(3), np.zeros(3), self.matrix, self.distortion
-        )
+        found, _ = cv2.projectPoints(space, np.zeros(3), np.zeros(3), self.matrix, self.distortion)
         return np.asarray(found, dtype=np.float64).reshape(-1, 2)
 
 
@@ -143,7 +141,8 @@ class Plane:
 
     def to_px(self, points_mm: Array) -> Array:
         """Return points (n, 2) in mm as undistorted px."""
-        return _project(np.linalg.inv(self.homography), points_mm)
+        back: Array = np.linalg.inv(self.homography).astype(np.float64)
+        return _project(back, points_mm)
 
 
 def find_board(picture: NDArray[np.integer], board: Board) -> View:
@@ -241,8 +240,8 @@ def fit_plane(view: View, lens: Lens, square_mm: float) -> Plane:
             f"{MAX_PLANE_SQUARES * square_mm:.3g} mm): is the board flat?"
         )
         raise CalibrationError(msg)
-    middle = undistorted.mean(axis=0)
-    step = _project(homography, np.stack([middle, middle + [1.0, 0.0], middle + [0.0, 1.0]]))
+    steps = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    step = _project(homography, undistorted.mean(axis=0) + steps)
     area = abs(float(np.linalg.det(step[1:] - step[0])))
     return Plane(
         homography=np.asarray(homography, dtype=np.float64),
@@ -290,7 +289,11 @@ class Resampling:
 
 
 def resampling(
-    lens: Lens, plane: Plane, *, origin_mm: tuple[float, float], size_px: tuple[int, int],
+    lens: Lens,
+    plane: Plane,
+    *,
+    origin_mm: tuple[float, float],
+    size_px: tuple[int, int],
     mm_per_px: float,
 ) -> Resampling:
     """Return where the pixels of a picture of the plane lie in the camera's.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from scipy.ndimage import uniform_filter
 from calibration.errors import CalibrationError
 
 Array = NDArray[np.float32]
+Counts = NDArray[np.uint16] | NDArray[np.float64]
 
 LIT_SHARE = 0.1  # of the brightest percent of white less black; darker pixels are not decoded
 SURE_SHARE = 0.1  # of white less black, by which plain and inverse must differ
@@ -41,10 +43,10 @@ class ProjectorMap:
 
 
 def decode_grey(
-    plain: Sequence[NDArray[np.uint16]],
-    inverse: Sequence[NDArray[np.uint16]],
-    white: NDArray[np.uint16],
-    black: NDArray[np.uint16],
+    plain: Sequence[Counts],
+    inverse: Sequence[Counts],
+    white: Counts,
+    black: Counts,
     *,
     axis: str,
     n_px: int,
@@ -68,7 +70,7 @@ def decode_grey(
             f"{n_bits} of each; capture all bits."
         )
         raise CalibrationError(msg)
-    contrast = white.astype(np.float32) - black
+    contrast = white.astype(np.float64) - black
     lit = contrast > LIT_SHARE * float(np.percentile(contrast, 99.0))
     if contrast.max() <= 0 or lit.mean() < 1e-3:
         msg = "white is nowhere brighter than black: the projector does not light this picture."
@@ -77,13 +79,16 @@ def decode_grey(
     bit = np.zeros(white.shape, dtype=bool)
     unsure = np.zeros(white.shape, dtype=np.uint8)
     for one, other in zip(plain, inverse, strict=True):
-        difference = one.astype(np.float32) - other
+        difference = one.astype(np.float64) - other
         bit = bit ^ (difference > 0)
         code = 2 * code + bit
         unsure += np.abs(difference) < SURE_SHARE * contrast
     sure = lit & (unsure <= 1) & (code < n_px)
     if sure.mean() < 1e-3:
-        msg = f"no pixel of the Grey code along {axis} is sure; focus the projector, or use brighter light."
+        msg = (
+            f"no pixel of the Grey code along {axis} is sure; focus the projector, or use brighter "
+            "light."
+        )
         raise CalibrationError(msg)
     return _smoothed(code, sure, axis, n_px)
 
@@ -114,7 +119,7 @@ def _smoothed(
     )
 
 
-def _surface(position: NDArray[np.float64], sure: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _surface(position: NDArray[np.floating[Any]], sure: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Return the cubic surface through the positions, stray codes left out, (rows, cols)."""
     rows, cols = position.shape
     y = np.linspace(-1.0, 1.0, rows)[:, None]
@@ -127,7 +132,7 @@ def _surface(position: NDArray[np.float64], sure: NDArray[np.bool_]) -> NDArray[
     rows_of = np.stack([term[some] for term in terms], axis=1)
     wanted = position[some]
     kept = np.ones(wanted.size, dtype=bool)
-    solution = np.zeros(len(terms))
+    solution: NDArray[np.floating[Any]] = np.zeros(len(terms))
     for _ in range(5):
         solution, *_ = np.linalg.lstsq(rows_of[kept], wanted[kept], rcond=None)
         rest = np.abs(wanted - rows_of @ solution)

@@ -81,7 +81,7 @@ def merge(
             counted = np.zeros((len(times), frame.size), dtype=np.uint16)
         k = times.index(exposures_s[n])
         offset = _linear_offset(offsets_dn[n], camera, table, frame.shape)
-        blooms = bool((frame.max() >= camera.white_level_dn))
+        blooms = bool(frame.max() >= camera.white_level_dn)
         levels = (camera.saturation_dn, camera.white_level_dn if blooms else np.inf)
         _add(np.ascontiguousarray(frame), table, offset, levels, sums[k], counted[k])
         n += 1
@@ -125,8 +125,8 @@ def _flattened(
         raise CalibrationError(msg)
     f = np.where(flat.usable, flat.relative, np.float32(np.nan))
     own = np.where(np.isfinite(flat.variance), flat.variance, np.float32(0.0))
-    even = value / f
-    return even, (variance + even**2 * own) / f**2
+    even = (value / f).astype(np.float32)
+    return even, ((variance + even**2 * own) / f**2).astype(np.float32)
 
 
 def _linear_offset(
