@@ -131,11 +131,12 @@ def sample_ramp(
     return np.stack([frame.ravel()[chosen] for frame in frames])
 
 
-def linearity_of(ramp: Ramp) -> float:
-    """Return how far a ramp departs from proportional light, rms of the pixels' deviations.
+def deviations_of(ramp: Ramp) -> Array:
+    """Return how far each exposure departs from proportional light, (n_exposures,), share of it.
 
     Each pixel's counts above black are divided by exposure and compared with their weighted mean;
-    clipped counts and those below a twentieth of the range are left out.
+    the median over pixels is free of noise, and a bent response moves every pixel alike. Clipped
+    counts and those below a twentieth of the range are left out; NaN where nothing is left.
 
     Raises
     ------
@@ -150,11 +151,17 @@ def linearity_of(ramp: Ramp) -> float:
         msg = "no pixel of the ramp is seen unclipped at two exposures; choose them closer."
         raise CalibrationError(msg)
     t = ramp.exposures_s[:, None]
-    rate = np.where(seen, signal, 0.0).sum(axis=0) / np.maximum((seen * t).sum(axis=0), 1e-300)
-    off = np.where(seen, signal / np.where(rate > 0, rate * t, np.nan) - 1.0, np.nan)[:, twice]
-    # the median over pixels is free of noise; a bent response moves every pixel alike
-    per_exposure = np.nanmedian(off[np.isfinite(off).any(axis=1)], axis=1)
-    return float(np.sqrt(np.mean(per_exposure**2)))
+    light = np.where(seen, signal, 0.0).sum(axis=0) / np.maximum((seen * t).sum(axis=0), 1e-300)
+    off = np.where(seen, signal / np.where(light > 0, light * t, np.nan) - 1.0, np.nan)[:, twice]
+    found = np.full(ramp.exposures_s.size, np.nan)
+    heard = np.isfinite(off).any(axis=1)
+    found[heard] = np.nanmedian(off[heard], axis=1)
+    return found
+
+
+def linearity_of(ramp: Ramp) -> float:
+    """Return the rms over exposures of how far a ramp departs from proportional light."""
+    return float(np.sqrt(np.nanmean(deviations_of(ramp) ** 2)))
 
 
 def fit_response(ramp: Ramp, *, smooth: float = SMOOTH) -> Response:

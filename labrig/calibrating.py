@@ -22,7 +22,14 @@ from calibration.photon_transfer import (
     measure_level,
 )
 from calibration.record import Conditions, Kind, NamedArray, Quantity, Record, array
-from calibration.response import LINEAR_WITHIN, Ramp, fit_response, linearity_of, sample_ramp
+from calibration.response import (
+    LINEAR_WITHIN,
+    Ramp,
+    deviations_of,
+    fit_response,
+    linearity_of,
+    sample_ramp,
+)
 from labrig.conditions import conditions_of
 from labrig.config import parse
 from labrig.errors import AnalysisRefusedError
@@ -289,7 +296,11 @@ def response_record(source: Source) -> Record:
     )
     off = linearity_of(ramp)
     quantities = {"linearity_rms": Quantity(value=off, unit="1")}
-    exposure = array(("exposure",), ramp.exposures_s, "s", "exposures of the ramp")
+    level = ("exposure",)
+    arrays = {
+        "exposure": array(level, ramp.exposures_s, "s", "exposures of the ramp"),
+        "deviation": array(level, deviations_of(ramp), "1", "counts over proportional ones, less 1"),
+    }
     if off <= LINEAR_WITHIN:
         notes = (
             f"The camera is linear within {100 * off:.2f} % (limit {100 * LINEAR_WITHIN:.0f} %): "
@@ -299,13 +310,12 @@ def response_record(source: Source) -> Record:
             "response",
             chosen,
             quantities,
-            {"exposure": exposure},
+            arrays,
             settings={"response": "linear"},
             notes=notes,
         )
     found = fit_response(ramp)
-    arrays = {
-        "exposure": exposure,
+    arrays |= {
         "count": array(("count",), np.arange(found.table.size), "DN", "counts of the camera"),
         "linear": array(("count",), found.table, "DN", "linear counts, to the same white"),
     }

@@ -27,8 +27,9 @@ CAPTIONS = {
     ),
     "response": (
         "Response",
-        "Linear counts of each count of the camera, fitted as a rising curve from one scene at "
-        "several exposures.",
+        "Counts of one unchanged scene at several exposures against proportional ones; a camera "
+        "within two percent counts as linear and is given no response. Else the rising curve that "
+        "makes the ramp proportional.",
     ),
     "dark": (
         "Dark frames",

@@ -87,19 +87,30 @@ def transfer_figure(record: Record) -> Figure:
 
 @_styled
 def response_figure(record: Record) -> Figure:
-    """Draw the fitted response beside a straight line."""
-    figure, (panel,) = _figure(1)
-    count, linear = _values(record, "count"), _values(record, "linear")
-    panel.plot(count, count, "--", color=INK, lw=1.0, label="linear")
-    panel.plot(count, linear, color=BLUE, label="fitted")
-    panel.set(
-        title="Response",
-        xlabel="counts of the camera (DN)",
-        ylabel="linear counts (DN)",
-        xlim=(0, count[-1]),
-        ylim=(0, linear[-1]),
+    """Draw how the ramp departs from a line, and the response fitted to it if there is one."""
+    fitted = "linear" in record.arrays
+    figure, panels = _figure(2 if fitted else 1)
+    t, off = _values(record, "exposure"), 100.0 * _values(record, "deviation")
+    panels[0].axhline(0.0, color=RED, lw=1.2)
+    panels[0].plot(1e3 * t, off, "o", color=BLUE, ms=5)
+    panels[0].set(
+        title="Departure from proportional counts",
+        xlabel="exposure (ms)",
+        ylabel="departure (%)",
+        xscale="log",
     )
-    panel.legend(loc="upper left")
+    if fitted:
+        count, linear = _values(record, "count"), _values(record, "linear")
+        panels[1].plot(count, count, "--", color=INK, lw=1.0, label="linear")
+        panels[1].plot(count, linear, color=BLUE, label="fitted")
+        panels[1].set(
+            title="Response",
+            xlabel="counts of the camera (DN)",
+            ylabel="linear counts (DN)",
+            xlim=(0, count[-1]),
+            ylim=(0, linear[-1]),
+        )
+        panels[1].legend(loc="upper left")
     return figure
 
 
@@ -284,8 +295,8 @@ def _histogram(panel: Axes, values: Array, label: str, title: str) -> None:
 
 
 FIGURES: Mapping[str, tuple[Draw, tuple[str, ...]]] = {
-    "photon-transfer": (transfer_figure, ("variance", "mean", "deviation")),
-    "response": (response_figure, ("linear",)),
+    "photon-transfer": (transfer_figure, ("mean",)),
+    "response": (response_figure, ("deviation",)),
     "dark": (dark_figure, ("offset",)),
     "flat": (flat_figure, ("relative",)),
     "geometry": (geometry_figure, ("corner_px",)),
@@ -302,4 +313,5 @@ def all_figures(record: Record) -> dict[str, Figure]:
         name: draw(record)
         for name, (draw, needed) in FIGURES.items()
         if any(key in record.arrays for key in needed)
+        and (name not in ("photon-transfer", "response", "flat") or name == record.kind)
     }
