@@ -362,7 +362,8 @@ def _known(  # noqa: PLR0913, PLR0917
         for x in range(cols):
             p1 = p2 = y1 = y2 = py = v1 = pv = ppv = 0.0
             for k in range(n):
-                p, value, v = pattern[k, y, x * step], net[k, y, x], variance[k, y, x]
+                p, value = np.float64(pattern[k, y, x * step]), np.float64(net[k, y, x])
+                v = np.float64(variance[k, y, x])
                 p1 += p
                 p2 += p * p
                 y1 += value
@@ -414,7 +415,7 @@ def _harmonic(  # noqa: PLR0913, PLR0917
         real, imaginary, y1, y2, v1 = lines
         for k in range(n):
             for x in range(cols):
-                value = net[k, y, x]
+                value = np.float64(net[k, y, x])
                 real[x] += wave[0, k] * value
                 imaginary[x] += wave[1, k] * value
                 y1[x] += value

@@ -50,9 +50,9 @@ def merge(
 
     ``E = sum_k v_k t_k^2/V_k (y_k - d_k)/t_k / sum_k v_k t_k^2/V_k`` with
     ``V_k = K E t_k + s_r^2``, started from ``sum v (y - d) / sum v t`` and iterated; v_k = 0 from
-    95 percent of the white level on, and beside a pixel at the white level, which may have bloomed
-    (Granados 2010). Without gain and read noise the start is the answer, and no variance is
-    invented. Exposures are lengthened by the camera's shutter offset. A flat field divides E and
+    95 percent of the white level on, and, in all but the shortest exposure, beside a pixel at the
+    white level, which may have bloomed (Granados 2010). Without gain and read noise the start is
+    the answer, and no variance is invented. Exposures are lengthened by the camera's shutter offset. A flat field divides E and
     adds its own variance, ``E^2 var f / f^2``.
 
     Parameters
@@ -81,7 +81,8 @@ def merge(
             counted = np.zeros((len(times), frame.size), dtype=np.uint16)
         k = times.index(exposures_s[n])
         offset = _linear_offset(offsets_dn[n], camera, table, frame.shape)
-        blooms = bool(frame.max() >= camera.white_level_dn)
+        # the shortest exposure has nothing shorter to stand in for it
+        blooms = k > 0 and int(frame.max()) >= camera.white_level_dn
         levels = (camera.saturation_dn, camera.white_level_dn if blooms else np.inf)
         _add(np.ascontiguousarray(frame), table, offset, levels, sums[k], counted[k])
         n += 1
@@ -226,9 +227,10 @@ def _solve(
     """
     gain, floor = noise
     n_exposures, n_pixels = sums.shape
-    estimate, information, weighted = np.zeros(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    estimate, information, weighted = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     for begin in range(0, n_pixels, BLOCK):
         size = min(BLOCK, n_pixels - begin)
+        estimate[:size] = 0.0
         for turn in range(n_iterations + 1):
             information[:size] = 0.0
             weighted[:size] = 0.0

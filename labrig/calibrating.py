@@ -299,7 +299,7 @@ def response_record(source: Source) -> Record:
     level = ("exposure",)
     arrays = {
         "exposure": array(level, ramp.exposures_s, "s", "exposures of the ramp"),
-        "deviation": array(level, deviations_of(ramp), "1", "counts over proportional ones, less 1"),
+        "deviation": array(level, deviations_of(ramp), "1", "over proportional counts, less 1"),
     }
     if off <= LINEAR_WITHIN:
         notes = (

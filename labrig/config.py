@@ -38,7 +38,7 @@ SCHEMAS: dict[str, type[Model]] = {
     "analysis": Analysis,
     "import": ImportManifest,
     "board": BoardFile,
-    "record": RecordFile,
+    "calibration": RecordFile,
 }
 
 M = TypeVar("M", bound=Model)

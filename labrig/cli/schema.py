@@ -20,7 +20,7 @@ class SchemaKind(StrEnum):
     analysis = "analysis"
     import_ = "import"
     board = "board"
-    record = "record"
+    calibration = "calibration"
 
 
 def schema(kind: Annotated[SchemaKind, typer.Argument(help="Kind of file.")]) -> None:
