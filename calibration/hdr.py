@@ -52,8 +52,8 @@ def merge(
     ``V_k = K E t_k + s_r^2``, started from ``sum v (y - d) / sum v t`` and iterated; v_k = 0 from
     95 percent of the white level on, and, in all but the shortest exposure, beside a pixel at the
     white level, which may have bloomed (Granados 2010). Without gain and read noise the start is
-    the answer, and no variance is invented. Exposures are lengthened by the camera's shutter offset. A flat field divides E and
-    adds its own variance, ``E^2 var f / f^2``.
+    the answer, and no variance is invented. Exposures are lengthened by the camera's shutter
+    offset. A flat field divides E and adds its own variance, ``E^2 var f / f^2``.
 
     Parameters
     ----------
