@@ -60,16 +60,16 @@ def lens(views):
 
 
 def test_lens_of_rendered_views_is_recovered(lens):
-    # measured 0.041 px
+    # measured 0.043 px
     assert lens.rms_px <= 0.06
-    # measured 0.4 of 1000 px
+    # measured -0.2 of 1000 px, and 0.06 px
     assert lens.matrix[0, 0] == pytest.approx(1000.0, abs=2.0)
     assert lens.matrix[0, 2] == pytest.approx(399.5, abs=3.0)
 
 
 def test_plane_is_found_to_a_hundredth_of_a_square(views, lens):
     plane = fit_plane(views[0], lens, BOARD.square_mm)
-    # measured 0.0006 squares
+    # measured 0.0003 squares
     assert plane.rms_mm <= 0.01 * BOARD.square_mm
     assert plane.mm_per_px == pytest.approx(0.135, rel=0.01)
     turn, _ = cv2.Rodrigues(np.asarray(POSES[0][0]))
@@ -77,7 +77,7 @@ def test_plane_is_found_to_a_hundredth_of_a_square(views, lens):
     space = np.column_stack([corners, np.zeros(4)]) @ turn.T + POSES[0][1]
     true = (space / space[:, 2:])[:, :2] * 1000.0 + MATRIX[:2, 2]
     off = plane.to_mm(true) - corners
-    # against the truth, not the fit's own residual; measured 0.0015 squares
+    # against the truth, not the fit's own residual; measured 0.0008 squares
     assert np.abs(off).max() <= 0.01 * BOARD.square_mm
 
 
@@ -88,11 +88,11 @@ def test_a_board_in_part_or_turned_round_is_placed_rightly(pictures, views, lens
     some = find_board(part, BOARD)
     assert 8 <= len(some.board_mm) < len(views[0].board_mm)
     off = whole.to_mm(lens.undistorted(some.image_px)) - some.board_mm
-    assert np.abs(off).max() < 0.2  # measured 0.05 mm
+    assert np.abs(off).max() < 0.05  # measured 0.006 mm
     turned = find_board(pictures[0][::-1, ::-1], BOARD)
     back = np.array([SHAPE[1] - 1, SHAPE[0] - 1]) - turned.image_px
     off = whole.to_mm(lens.undistorted(back)) - turned.board_mm
-    assert np.abs(off).max() < 0.2  # measured 0.05 mm
+    assert np.abs(off).max() < 0.05  # measured 0.006 mm
 
 
 def test_a_board_that_cannot_be_trusted_is_refused_in_one_line(pictures, views):
@@ -134,7 +134,7 @@ def test_resampled_picture_is_the_board_and_carries_its_variance(pictures, views
     flat = even.apply(pictures[0].astype(float))
     drawn = 400.0 + 12.0 * BOARD.draw(5.0).astype(float)
     same = np.corrcoef(flat[5:-5, 5:-5].ravel(), drawn[5:-5, 5:-5].ravel())[0, 1]
-    assert same > 0.95  # measured 0.985: the camera's pixels are coarser than the drawing
+    assert same > 0.9  # measured 0.954: the camera's pixels are coarser than the drawing
     rng = np.random.default_rng(7)
     noise = np.stack([even.apply(rng.normal(0.0, 3.0, SHAPE)) for _ in range(60)])
     stated = even.apply_variance(np.full(SHAPE, 9.0))
@@ -152,7 +152,7 @@ def test_entry_face_and_beam_axis_are_located():
     inside = np.clip(x - 40.3 + 0.5, 0.0, 1.0)
     rng = np.random.default_rng(2)
     found = locate_entry(1000.0 * beam * inside + rng.normal(0.0, 5.0, y.shape), 0.1)
-    # measured off by 0.02 px, 0.05 px and 0.01 degrees
+    # measured off by -0.1 px, -0.01 px and 0.001 degrees
     assert found.face_x == pytest.approx(4.03, abs=0.05)
     assert found.axis_y == pytest.approx(9.0, abs=0.03)
     assert found.angle_deg == pytest.approx(4.0, abs=0.1)

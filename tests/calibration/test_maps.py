@@ -40,9 +40,9 @@ def dark():
 def test_every_pixels_offset_and_current_are_found(dark):
     sane = ~dark.hot
     pull = (dark.at(0.5) - OFFSET - 0.5 * CURRENT)[sane] / np.sqrt(dark.variance_at(0.5))
-    # measured -0.02 and 1.09: pixels with more dark current are noisier than the mean
+    # measured -0.0005 and 0.996
     assert abs(pull.mean()) < 0.06
-    assert pull.std() == pytest.approx(1.0, abs=0.15)
+    assert pull.std() == pytest.approx(1.0, abs=0.04)
     assert np.median(dark.current_dn_per_s) == pytest.approx(30.0, rel=0.03)
     assert dark.hot[5, 7]
     assert dark.hot.sum() < 10  # measured 1
@@ -63,10 +63,10 @@ def test_response_of_every_pixel_is_found_and_dead_ones_masked(dark):
     assert not usable[20, 30]
     assert not usable[5, 7]
     pull = ((found.relative - RESPONSE / np.median(RESPONSE)) / np.sqrt(found.variance))[usable]
-    # measured 0.00 and 1.00
-    assert abs(pull.mean()) < 0.1
+    # measured -0.08, the median that norms them, and 0.991
+    assert abs(pull.mean()) < 0.15
     assert pull.std() == pytest.approx(1.0, abs=0.05)
-    # measured 0.0300
+    # measured 0.0299
     assert found.nonuniformity == pytest.approx(0.03, rel=0.1)
 
 
@@ -81,7 +81,7 @@ def test_merge_with_maps_is_even_and_states_its_variance(dark):
     good = found.valid & ~dark.hot
     scale = np.median(RESPONSE)
     pull = ((found.value - 2000.0 * scale) / np.sqrt(found.variance))[good]
-    # measured -0.04 and 1.02
+    # measured 0.02 and 1.019
     assert abs(pull.mean()) < 0.1
     assert pull.std() == pytest.approx(1.0, abs=0.06)
 

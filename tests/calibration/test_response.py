@@ -53,14 +53,14 @@ def ramp(taken):
 
 def test_a_linear_camera_is_seen_to_be_linear_and_is_given_no_response():
     straight = ramp(pictures(linear=True))
-    assert linearity_of(straight) < 0.01  # measured 0.0017
+    assert linearity_of(straight) < 0.01  # measured 0.0004
     with pytest.raises(CalibrationError, match="no response is fitted where linearity holds"):
         fit_response(straight)
 
 
 def test_response_of_an_srgb_camera_is_fitted_from_its_ramp():
     bent = ramp(pictures(linear=False))
-    assert linearity_of(bent) > 0.2  # measured 0.7
+    assert linearity_of(bent) > 0.2  # measured 0.57
     found, true = fit_response(bent).table, srgb_response(8).table
     assert (np.diff(found) >= 0.0).all()
     known = slice(20, 240)
@@ -75,7 +75,7 @@ def test_merge_undoes_a_response_by_name():
     found = merge(taken, list(EXPOSURES), [0.0] * 6, camera)
     bright = scene() > 1.0
     ratio = found.value[bright] / (255.0 * scene()[bright])
-    # measured mean +0.05 % and std 0.7 %
+    # measured mean -0.01 % and std 0.6 %
     assert ratio.mean() == pytest.approx(1.0, abs=0.005)
     assert ratio.std() < 0.03
     assert np.isnan(found.variance).all()
