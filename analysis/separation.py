@@ -9,17 +9,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
 
 from analysis.errors import AnalysisError
 
 Array = NDArray[np.float64]
+Stack = NDArray[np.floating[Any]]
 Method = Literal["extrema", "known-pattern", "harmonic"]
 
 DETECTION_SNR = 2.0  # below it direct light is "not detected"
+MIN_PHASES = 4  # of an unknown phase; fewer alias the second harmonic onto the first
+MIN_SPREAD = 2.5e-4  # mean square of a known pattern about its mean, below which it tells nothing
+RESIDUE_PX = 25  # stripes are narrower; what is wider than this is no residue of them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,10 +34,12 @@ class Separation:
 
     Attributes
     ----------
-    single, multiple : (rows, cols), in units of the input; NaN where a shift was saturated
+    single, multiple : (rows, cols), in units of the input, signed; NaN where a shift was saturated
     single_variance, multiple_variance : (rows, cols); NaN if the input's variance is unknown
     detected : (rows, cols), direct light at least twice its standard deviation; where the
         variance is unknown, wherever there is a value
+    chi2 : (rows, cols), what the model leaves of the shifts in units of their noise, per degree of
+        freedom; NaN for extrema, without degrees of freedom, or if the variance is unknown
     """
 
     method: Method
@@ -40,35 +48,54 @@ class Separation:
     single_variance: Array
     multiple_variance: Array
     detected: NDArray[np.bool_]
+    chi2: Array
 
 
-def separate_extrema(net: Array, variance: Array, duty: float = 0.5) -> Separation:
+def separate_extrema(
+    net: Stack, variance: Stack, duty: float = 0.5, leak: float | Array = 0.0
+) -> Separation:
     """Separate by the extremes over the shifts: Eqs. 7 and 8 of the paper.
 
     ``I_1 = I_max - I_min``, ``I_M = I_min / duty``, which is 2 I_min for equal stripes. Noise
-    lifts I_1 by about 2.5 standard deviations where there is no direct light (six shifts).
+    lifts I_1 by about 2.5 standard deviations where there is no direct light (six shifts). Where
+    the black picture was not subtracted, its leak b makes them (Nayar 2006)
+    ``D = (I_max - I_min)/(1 - b)``, ``G = (I_max - D)/(b + (1 - b) duty)``.
 
     Parameters
     ----------
     net, variance : (n_shifts, rows, cols), black subtracted
     duty : lit share of the period
+    leak : b, black over white, a number or (rows, cols); zero where black was subtracted
+
+    Raises
+    ------
+    AnalysisError
+        If a leak is not below one, or the stack is none.
     """
     _refuse_stack(net, variance)
-    high = np.argmax(net, axis=0)[None]
-    low = np.argmin(net, axis=0)[None]
-    brightest = np.take_along_axis(net, high, axis=0)[0]
-    darkest = np.take_along_axis(net, low, axis=0)[0]
-    var_high = np.take_along_axis(variance, high, axis=0)[0]
-    var_low = np.take_along_axis(variance, low, axis=0)[0]
-    return _separation(
-        "extrema",
-        np.asarray(np.isfinite(net).all(axis=0)),
-        (brightest - darkest, darkest / duty),
-        (var_high + var_low, var_low / duty**2),
-    )
+    if not np.nanmax(leak) < 1.0:
+        msg = f"a leak of {float(np.nanmax(leak)):g} of white: black must be darker than white."
+        raise AnalysisError(msg)
+    found = _empty("extrema", net.shape[1:])
+    _extrema(net, variance, duty, *_parts(found))
+    if np.any(leak):
+        floor = np.asarray(leak) + (1.0 - np.asarray(leak)) * duty
+        brightest = found.single + found.multiple * duty
+        single = found.single / (1.0 - np.asarray(leak))
+        multiple = (brightest - single) / floor
+        variance_of = found.single_variance / (1.0 - np.asarray(leak)) ** 2
+        found = replace(
+            found,
+            single=single,
+            multiple=multiple,
+            single_variance=variance_of,
+            multiple_variance=found.multiple_variance * (duty / floor) ** 2
+            + variance_of * (np.asarray(leak) / floor) ** 2,
+        )
+    return found
 
 
-def separate_known(net: Array, variance: Array, pattern: Array, duty: float = 0.5) -> Separation:
+def separate_known(net: Stack, variance: Stack, pattern: Stack, duty: float = 0.5) -> Separation:
     """Separate by least squares with the known pattern of every picture.
 
     ``(D, G) = argmin sum_k w_k (net_k - D p_k - G duty)^2``, the weights at a pixel being those of
@@ -78,7 +105,8 @@ def separate_known(net: Array, variance: Array, pattern: Array, duty: float = 0.
     Parameters
     ----------
     net, variance : (n_shifts, rows, cols), black subtracted
-    pattern : (n_shifts, rows, 1) or (n_shifts, rows, cols), light of the projector there, 0 .. 1
+    pattern : (n_shifts, rows, 1) or (n_shifts, rows, cols), light of the projector there, 0 .. 1;
+        NaN where it is unknown
 
     Raises
     ------
@@ -86,68 +114,107 @@ def separate_known(net: Array, variance: Array, pattern: Array, duty: float = 0.
         If the pattern is the same in every picture.
     """
     _refuse_stack(net, variance)
-    n = net.shape[0]
-    mean = pattern.mean(axis=0)
-    spread = ((pattern - mean) ** 2).sum(axis=0)
-    if not (spread > 1e-6).any():
+    if pattern.shape[0] != net.shape[0] or pattern.shape[1] != net.shape[1]:
+        msg = f"a pattern of shape {pattern.shape} for pictures of {net.shape}: one each is needed."
+        raise AnalysisError(msg)
+    found = _empty("known-pattern", net.shape[1:])
+    told = _known(net, variance, pattern, duty, MIN_SPREAD * net.shape[0], *_parts(found))
+    if not told:
         msg = "the known pattern does not change from picture to picture; is its phase right?"
         raise AnalysisError(msg)
-    usable = np.broadcast_to(spread > 1e-3 * spread.max(), net.shape[1:])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        weights = (pattern - mean) / spread
-    single = (weights * net).sum(axis=0)
-    offset_weights = 1.0 / n - mean * weights
-    multiple = (offset_weights * net).sum(axis=0) / duty
-    return _separation(
-        "known-pattern",
-        np.asarray(np.isfinite(net).all(axis=0) & usable),
-        (single, multiple),
-        (
-            (weights**2 * variance).sum(axis=0),
-            (offset_weights**2 * variance).sum(axis=0) / duty**2,
-        ),
-    )
+    return found
 
 
-def separate_harmonic(net: Array, variance: Array, *, contrast: float, duty: float) -> Separation:
+def separate_harmonic(
+    net: Stack, variance: Stack, *, contrast: float | Array, duty: float
+) -> Separation:
     """Separate by the first harmonic over the shifts, whatever the pattern's phase.
 
     ``z = (2/N) sum net_k exp(-2 pi i k/N)``, ``D = sqrt(max(|z|^2 - 4 s^2/N, 0)) / c1``,
-    ``G = (mean - D duty) / duty``, with s^2 the mean variance (no debias where it is unknown).
+    ``G = mean / duty - D``, with s^2 the mean variance (no debias where it is unknown). A sharp
+    square stripe's 5th and 7th harmonics alias onto the first at N = 6, a ripple of up to 6 %.
 
     Parameters
     ----------
     net, variance : (n_shifts, rows, cols), black subtracted
-    contrast : c1, amplitude of the pattern's fundamental; see `square_contrast`
+    contrast : c1, amplitude of the pattern's fundamental; a number, or one a column (cols,); see
+        `square_contrast`
 
     Raises
     ------
     AnalysisError
         For fewer than four shifts: the second harmonic of a projector's gamma would alias onto
-        the first.
+        the first. If c1 is not positive.
     """
     _refuse_stack(net, variance)
-    n = net.shape[0]
-    if n < 4:
+    n, _, cols = net.shape
+    refuse_few_phases(n)
+    c1 = np.broadcast_to(np.asarray(contrast, dtype=np.float64), (cols,))
+    if not (c1 > 0.0).all():
+        msg = f"contrast {float(c1.min()):g} of the stripes is not positive; measure c1."
+        raise AnalysisError(msg)
+    found = _empty("harmonic", net.shape[1:])
+    turn = 2.0 * np.pi * np.arange(n) / n
+    wave = np.stack([np.cos(turn), -np.sin(turn)]) * (2.0 / n)
+    _harmonic(net, variance, wave, 1.0 / c1, duty, *_parts(found))
+    return found
+
+
+def refuse_few_phases(n_shifts: int) -> None:
+    """Refuse to separate an unknown phase by fewer than four shifts.
+
+    Raises
+    ------
+    AnalysisError
+        With the reason.
+    """
+    if n_shifts < MIN_PHASES:
         msg = (
-            f"{n} shifts of unknown phase: the harmonic estimator needs at least 4, equally "
-            "spaced over one period; use extrema or take more shifts."
+            f"{n_shifts} shifts of unknown phase: the harmonic estimator needs at least "
+            f"{MIN_PHASES}, equally spaced over one period, or the second harmonic of the "
+            "projector's gamma passes for the first (11 % stripes with three); take more shifts, "
+            "or ask for separation: extrema."
         )
         raise AnalysisError(msg)
-    phase = np.exp(-2j * np.pi * np.arange(n) / n)
-    z = (2.0 / n) * np.tensordot(phase, net, axes=1)
-    noise = np.nan_to_num(variance.mean(axis=0), nan=0.0)
-    amplitude = np.sqrt(np.maximum(np.abs(z) ** 2 - 4.0 * noise / n, 0.0))
-    single = amplitude / contrast
-    mean = net.mean(axis=0)
-    single_variance = (2.0 / n) * variance.mean(axis=0) / contrast**2
-    mean_variance = variance.sum(axis=0) / n**2
-    return _separation(
-        "harmonic",
-        np.asarray(np.isfinite(net).all(axis=0)),
-        (single, mean / duty - single),
-        (single_variance, mean_variance / duty**2 + single_variance),
-    )
+
+
+def harmonic_ratio(net: Stack) -> Array:
+    """Return |z_2| / |z_1|, second harmonic over first, of shifts over one period, (rows, cols).
+
+    A gamma of the projector, or stripes that are no sinusoid, show in it.
+
+    Raises
+    ------
+    AnalysisError
+        For fewer than five shifts, in which the two cannot be told apart.
+    """
+    n = net.shape[0]
+    if n < 5:
+        msg = f"{n} shifts do not tell the second harmonic from the first; 5 are needed."
+        raise AnalysisError(msg)
+    turn = np.exp(-2j * np.pi * np.arange(n) / n)
+    first, second = (np.abs(np.tensordot(turn**h, net, axes=1)) for h in (1, 2))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(second / first, dtype=np.float64)
+
+
+def stripe_residue(share: Array, width_px: int = RESIDUE_PX) -> float:
+    """Return the standard deviation of direct light over white at scales finer than a width.
+
+    A separation that is right leaves none of its stripes in the direct light. NaN if nothing is
+    left.
+
+    Parameters
+    ----------
+    share : (rows, cols), direct light over white; NaN is left out
+    """
+    known = np.isfinite(share)
+    filled = np.where(known, share, 0.0)
+    weight = uniform_filter(known.astype(np.float64), width_px)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rest = filled - uniform_filter(filled, width_px) / weight
+    chosen = rest[known & (weight > 0.5)]
+    return float(chosen.std()) if chosen.size else math.nan
 
 
 def as_if_white(separation: Separation, *, low: float, high: float, duty: float) -> Separation:
@@ -182,40 +249,196 @@ def square_contrast(duty: float) -> float:
     return 2.0 / math.pi * math.sin(math.pi * duty)
 
 
-def closure(separation: Separation, white: Array) -> Array:
-    """Return (single + multiple) / white - 1, with the black picture off ``white``, (rows, cols).
+def closure(separation: Separation, white: Array, black: Array | float = 0.0) -> Array:
+    """Return (D + G) / W - 1 with black's leak pixel by pixel, (rows, cols), duty one half.
 
-    Zero where the stripes together are the white light. NaN where white is not positive.
+    Pictures of stripes hold (1 + b)/2 of white, b the leak of black over white:
+    ``(single + multiple + 2 black) / (white + 2 black) - 1``, with black off ``white`` as it is off
+    the stripes. So for a pattern and its inverse this is (P + P_inv)/(W + B) - 1, and light that
+    is lost to the fineness of stripes counts once. Zero where the stripes together are the white
+    light. NaN where white is not positive.
+
+    Parameters
+    ----------
+    white, black : (rows, cols), black taken off white
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = (separation.single + separation.multiple) / white - 1.0
+        together = separation.single + separation.multiple + 2.0 * black
+        ratio = together / (white + 2.0 * black) - 1.0
     return np.where(white > 0.0, ratio, np.nan)
 
 
-def _separation(
-    method: Method,
-    valid: NDArray[np.bool_],
-    values: tuple[Array, Array],
-    variances: tuple[Array, Array],
-) -> Separation:
-    single, multiple = (np.where(valid, v, np.nan) for v in values)
-    single_variance, multiple_variance = (np.where(valid, v, np.nan) for v in variances)
-    unknown = np.isnan(single_variance)
-    detected = valid & (unknown | (single > DETECTION_SNR * np.sqrt(single_variance)))
+def _empty(method: Method, shape: tuple[int, ...]) -> Separation:
     return Separation(
         method=method,
-        single=single,
-        multiple=multiple,
-        single_variance=single_variance,
-        multiple_variance=multiple_variance,
-        detected=detected,
+        single=np.empty(shape),
+        multiple=np.empty(shape),
+        single_variance=np.empty(shape),
+        multiple_variance=np.empty(shape),
+        detected=np.empty(shape, dtype=np.bool_),
+        chi2=np.empty(shape),
     )
 
 
-def _refuse_stack(net: Array, variance: Array) -> None:
+def _parts(found: Separation) -> tuple[Array, ...]:
+    """Return the arrays that a kernel fills, (rows, cols) each."""
+    return (
+        found.single,
+        found.multiple,
+        found.single_variance,
+        found.multiple_variance,
+        found.detected.view(np.uint8),
+        found.chi2,
+    )
+
+
+def _refuse_stack(net: Stack, variance: Stack) -> None:
     if net.ndim != 3 or variance.shape != net.shape or net.shape[0] < 2:
         msg = (
             f"stripe pictures of shape {net.shape} with variance {variance.shape}: "
             f"a stack (n_shifts >= 2, rows, cols) of both is needed."
         )
         raise AnalysisError(msg)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _extrema(  # noqa: PLR0913, PLR0917 - a compiled kernel takes its arrays one by one
+    net: Stack,
+    variance: Stack,
+    duty: float,
+    single: Array,
+    multiple: Array,
+    single_variance: Array,
+    multiple_variance: Array,
+    detected: NDArray[np.uint8],
+    chi2: Array,
+) -> None:
+    """Fill the pictures (rows, cols) by the extremes of net (n, rows, cols)."""
+    n, rows, cols = net.shape
+    for y in range(rows):
+        for x in range(cols):
+            high = low = total = net[0, y, x]
+            for k in range(1, n):
+                value = net[k, y, x]
+                total += value
+                high = max(high, value)
+                low = min(low, value)
+            of_high = of_low = variance[0, y, x]
+            for k in range(1, n):
+                of_high = variance[k, y, x] if net[k, y, x] == high else of_high
+                of_low = variance[k, y, x] if net[k, y, x] == low else of_low
+            lost = 0.0 * total  # NaN where a shift was saturated
+            single[y, x] = high - low + lost
+            multiple[y, x] = low / duty + lost
+            single_variance[y, x] = of_high + of_low + lost
+            multiple_variance[y, x] = of_low / duty**2 + lost
+            chi2[y, x] = np.nan
+            detected[y, x] = _seen(single[y, x], single_variance[y, x])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _known(  # noqa: PLR0913, PLR0917
+    net: Stack,
+    variance: Stack,
+    pattern: Stack,
+    duty: float,
+    least: float,
+    single: Array,
+    multiple: Array,
+    single_variance: Array,
+    multiple_variance: Array,
+    detected: NDArray[np.uint8],
+    chi2: Array,
+) -> bool:
+    """Fill the pictures by least squares; True if the pattern tells anything anywhere.
+
+    ``pattern`` is (n, rows, 1 or cols); pixels whose pattern changes by less than ``least`` have
+    no answer.
+    """
+    n, rows, cols = net.shape
+    step = 1 if pattern.shape[2] > 1 else 0
+    told = False
+    for y in range(rows):
+        for x in range(cols):
+            p1 = p2 = y1 = y2 = py = v1 = pv = ppv = 0.0
+            for k in range(n):
+                p, value = np.float64(pattern[k, y, x * step]), np.float64(net[k, y, x])
+                v = np.float64(variance[k, y, x])
+                p1 += p
+                p2 += p * p
+                y1 += value
+                y2 += value * value
+                py += p * value
+                v1 += v
+                pv += p * v
+                ppv += p * p * v
+            p, mean = p1 / n, y1 / n
+            spread = p2 - n * p * p
+            told |= spread > least
+            spread = spread if spread > least else np.nan
+            cross = py - n * p * mean
+            direct = cross / spread
+            lost = 0.0 * direct  # NaN where a shift was saturated
+            # sums over shifts of (p - mean p) V and (p - mean p)^2 V
+            tilted = pv - p * v1
+            of_direct = (ppv - 2.0 * p * pv + p * p * v1) / spread**2 + lost
+            of_rest = v1 / n**2 - 2.0 * p / n * tilted / spread + p * p * of_direct
+            single[y, x] = direct
+            multiple[y, x] = (mean - p * direct) / duty
+            single_variance[y, x] = of_direct
+            multiple_variance[y, x] = of_rest / duty**2
+            detected[y, x] = _seen(direct, of_direct)
+            left = y2 - n * mean * mean - direct * cross
+            chi2[y, x] = left / (v1 / n) / (n - 2) if n > 2 else np.nan
+    return told
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _harmonic(  # noqa: PLR0913, PLR0917
+    net: Stack,
+    variance: Stack,
+    wave: Array,
+    per_contrast: Array,
+    duty: float,
+    single: Array,
+    multiple: Array,
+    single_variance: Array,
+    multiple_variance: Array,
+    detected: NDArray[np.uint8],
+    chi2: Array,
+) -> None:
+    """Fill the pictures by the first harmonic; ``wave`` is (2, n), cosine and sine times 2/N."""
+    n, rows, cols = net.shape
+    lines = np.empty((5, cols))
+    for y in range(rows):
+        lines[:] = 0.0
+        real, imaginary, y1, y2, v1 = lines
+        for k in range(n):
+            for x in range(cols):
+                value = np.float64(net[k, y, x])
+                real[x] += wave[0, k] * value
+                imaginary[x] += wave[1, k] * value
+                y1[x] += value
+                y2[x] += value * value
+                v1[x] += variance[k, y, x]
+        for x in range(cols):
+            mean, noise = y1[x] / n, v1[x] / n
+            power = real[x] ** 2 + imaginary[x] ** 2
+            left = y2[x] - n * mean * mean - 0.5 * n * power
+            debiased = power - (4.0 / n * noise if noise >= 0.0 else 0.0)
+            direct = np.sqrt(debiased if debiased > 0.0 else 0.0 * mean) * per_contrast[x]
+            of_direct = 2.0 / n * noise * per_contrast[x] ** 2 + 0.0 * mean
+            single[y, x] = direct
+            multiple[y, x] = mean / duty - direct
+            single_variance[y, x] = of_direct
+            multiple_variance[y, x] = noise / n / duty**2 + of_direct
+            detected[y, x] = _seen(direct, of_direct)
+            chi2[y, x] = left / noise / (n - 3)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _seen(direct: float, variance: float) -> bool:
+    """Return whether direct light exceeds its noise; if that is unknown, whether there is any."""
+    if np.isnan(variance):
+        return bool(np.isfinite(direct))
+    return bool(direct > DETECTION_SNR * np.sqrt(variance))

@@ -18,6 +18,9 @@ from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 
+from labrig import board as _board
+from labrig import calibration_run as _calibration_run
+from labrig import calibration_store as _calibration_store
 from labrig import config as _config
 from labrig import importing as _importing
 from labrig import pipeline as _pipeline
@@ -27,6 +30,7 @@ from labrig import runner as _runner
 from labrig import session as _session
 from labrig.config import config_folder
 from labrig.models.analysis import Analysis
+from labrig.models.calibration import BoardFile, RecordFile
 from labrig.models.plan import Plan
 from labrig.models.rig import Rig
 from labrig.models.scene import Scene
@@ -49,8 +53,10 @@ __all__ = [
     "Session",
     "Solved",
     "analyse",
+    "calibrate",
     "capture",
     "config_folder",
+    "draw_board",
     "explain",
     "import_session",
     "load_analysis",
@@ -58,8 +64,10 @@ __all__ = [
     "load_rig",
     "load_scene",
     "open_rig",
+    "read_calibration",
     "read_results",
     "report",
+    "report_calibration",
     "solve",
     "verify",
     "write_solution",
@@ -85,8 +93,14 @@ def load_scene(path: StrPath) -> Scene:
 
 
 def load_analysis(path: StrPath) -> Analysis:
-    """Read an analysis file; raise `labrig.errors.ConfigError` naming file and key."""
-    return _config.load(Path(path), Analysis)
+    """Read an analysis file; raise `labrig.errors.ConfigError` naming file and key.
+
+    Records it names are found relative to the file.
+    """
+    found = _config.load(Path(path), Analysis)
+    beside = Path(path).resolve().parent
+    named = {kind: str(beside / record) for kind, record in found.calibration.items()}
+    return found.model_copy(update={"calibration": named})
 
 
 def read_results(path: StrPath) -> Result:
@@ -176,6 +190,64 @@ def analyse(
     )
 
 
+def calibrate(
+    kind: str,
+    session: StrPath,
+    *,
+    out: StrPath | None = None,
+    dark: StrPath | None = None,
+    board: StrPath | None = None,
+) -> Path:
+    """Make a calibration record of a session, with its page; return its folder beside the session.
+
+    Parameters
+    ----------
+    kind : dark, flat, photon-transfer, response, geometry or projector
+    dark : dark record for a flat; else the session's own dark frames
+    board : board file for the geometry; else the board that `draw_board` draws by default
+
+    Raises
+    ------
+    labrig.errors.LabrigError, calibration.errors.CalibrationError
+        If the session does not hold what the kind needs, or nothing trustworthy comes of it.
+    """
+    record = _calibration_run.calibrate(
+        kind,
+        Path(session),
+        out=None if out is None else Path(out),
+        dark=None if dark is None else Path(dark),
+        board=None if board is None else Path(board),
+    )
+    report_calibration(record)
+    return record
+
+
+def read_calibration(path: StrPath) -> RecordFile:
+    """Read a calibration record; raise `labrig.errors.ConfigError` if it is none or damaged."""
+    return _calibration_store.read_record(Path(path))[0]
+
+
+def report_calibration(record: StrPath, out: StrPath | None = None) -> Path:
+    """Write figures and a self-contained HTML page of a calibration record; return the page."""
+    from labrig.calibration_page import write_page  # noqa: PLC0415 - matplotlib takes a second
+
+    return write_page(Path(record), None if out is None else Path(out))
+
+
+def draw_board(out: StrPath, **sizes: float) -> tuple[Path, ...]:
+    """Write a ChArUco board in true size: ``board.pdf``, ``board.png`` and ``board.yaml``.
+
+    ``sizes`` are squares_x, squares_y, square_mm and marker_mm.
+
+    Raises
+    ------
+    labrig.errors.LabrigError, calibration.errors.CalibrationError
+        If the sizes make no board, or the place cannot be written.
+    """
+    content = {"schema": "labrig-board/1", **sizes}
+    return _board.draw_board(Path(out), _config.parse(content, BoardFile, source="board"))
+
+
 def report(
     result: Result | StrPath,
     out: StrPath | None = None,
@@ -184,7 +256,7 @@ def report(
 
     Parameters
     ----------
-    result : a result, its folder, or a session folder (its newest result)
+    result : a result, its folder, a session folder (its newest result), or a calibration record
 
     Raises
     ------
@@ -193,5 +265,7 @@ def report(
     """
     from labrig.report_page import write_report  # noqa: PLC0415 - matplotlib takes a second to load
 
+    if not isinstance(result, Result) and _calibration_store.is_record(Path(result)):
+        return report_calibration(result, out)
     found = result if isinstance(result, Result) else read_results(Path(result))
     return write_report(found, None if out is None else Path(out), found.run.get("truth"))

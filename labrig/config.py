@@ -18,6 +18,7 @@ from pydantic import BaseModel, ValidationError
 from labrig.errors import ConfigError
 from labrig.models.analysis import Analysis
 from labrig.models.base import Model
+from labrig.models.calibration import BoardFile, RecordFile
 from labrig.models.manifest import ImportManifest
 from labrig.models.plan import Plan
 from labrig.models.rig import Rig
@@ -36,6 +37,8 @@ SCHEMAS: dict[str, type[Model]] = {
     "scene": Scene,
     "analysis": Analysis,
     "import": ImportManifest,
+    "board": BoardFile,
+    "calibration": RecordFile,
 }
 
 M = TypeVar("M", bound=Model)
@@ -78,6 +81,12 @@ def load(path: Path, model: type[M]) -> M:
     return parse(content, model, source=str(path))
 
 
+def dump(model: Model) -> str:
+    """Return a model as YAML, keys in the model's order."""
+    content = model.model_dump(mode="json", by_alias=True)
+    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=100)
+
+
 def parse(content: Any, model: type[M], *, source: str) -> M:
     """Validate a mapping; ``source`` names it in messages.
 
@@ -93,7 +102,7 @@ def parse(content: Any, model: type[M], *, source: str) -> M:
 
 
 def json_schema(kind: str) -> dict[str, Any]:
-    """Return the JSON Schema of plan, rig, scene, analysis or import.
+    """Return the JSON Schema of a kind of file; `SCHEMAS` names them.
 
     Raises
     ------

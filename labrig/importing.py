@@ -53,6 +53,10 @@ def import_session(
         "setup": setup.model_dump(mode="json"),
         "imported": True,
         "simulated": False,
+        "calibration": {
+            kind: str((manifest.parent / path).resolve())
+            for kind, path in wanted.calibration.items()
+        },
         "shots": [shot.model_dump() for shot in shots],
     }
     with SessionWriter.create(out, wanted.name, header) as session:
@@ -80,13 +84,21 @@ def _shots(frames: tuple[ImportFrame, ...], manifest: Path) -> list[Shot]:
     shots = []
     for frame in frames:
         bracket = exposures.index(frame.exposure_s)
-        kind = (frame.role, bracket, frame.shift)
+        kind = (
+            frame.role,
+            bracket,
+            frame.shift,
+            frame.axis,
+            frame.bit,
+            frame.polarity,
+            frame.level,
+        )
         repeat = counts.get(kind, 0)
         counts[kind] = repeat + 1
         group = f"{frame.role}-e{bracket}-r{repeat}"
         shots.append(
             Shot(
-                id=group if frame.shift is None else f"{group}-p{frame.shift:02d}",
+                id=f"{group}{_which(frame)}",
                 set=frame.role,
                 role=frame.role,
                 group=group,
@@ -94,10 +106,23 @@ def _shots(frames: tuple[ImportFrame, ...], manifest: Path) -> list[Shot]:
                 repeat=repeat,
                 shift=frame.shift,
                 shifts=frame.shifts,
+                axis=frame.axis,
+                bit=frame.bit,
+                polarity=frame.polarity,
+                level=frame.level,
             )
         )
     _refuse_gaps(frames, manifest)
     return shots
+
+
+def _which(frame: ImportFrame) -> str:
+    """Return what tells pictures of one group apart, as the end of a shot's id."""
+    if frame.shift is not None:
+        return f"-p{frame.shift:02d}"
+    if frame.bit is not None:
+        return f"-{frame.axis}{frame.bit:02d}-{frame.polarity}"
+    return "" if frame.level is None else f"-l{round(1e4 * frame.level):05d}"
 
 
 def _refuse_gaps(frames: tuple[ImportFrame, ...], manifest: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from labrig.config import parse
+from labrig.corrections import gather
 from labrig.linearise import linearise, rectify
 from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
@@ -63,14 +64,15 @@ def analyse(
     config = config or Analysis.model_validate({"schema": "labrig-analysis/1"})
     session = Session.open(session_path)
     setup = parse(session.header.get("setup"), Setup, source=f"{session_path}: setup")
+    known = gather(session, setup, config)
     decay = explained = None
 
     watch.start("linearise")
-    radiances = linearise(session, setup)
+    radiances = linearise(session, setup, known)
     watch.start("rectify")
-    pictures = rectify(radiances, session, setup)
+    pictures = rectify(radiances, session, setup, known)
     watch.start("separate")
-    separated = separate(pictures, setup, config)
+    separated = separate(pictures, setup, config, known)
     if until == "results":
         watch.start("attenuate")
         decay = attenuate(separated, pictures, setup, config)
@@ -82,6 +84,7 @@ def analyse(
     outcome = Outcome(
         session=session,
         setup=setup,
+        known=known,
         config=config,
         pictures=pictures,
         separated=separated,

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from analysis.attenuation import Attenuation
 from analysis.light_field import BounceField
 from analysis.profile import DepthProfile
-from analysis.separation import closure
+from analysis.separation import closure, harmonic_ratio, stripe_residue
+from labrig.corrections import Corrections
 from labrig.linearise import Pictures
 from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
@@ -34,6 +35,7 @@ class Outcome:
 
     session: Session
     setup: Setup
+    known: Corrections
     config: Analysis
     pictures: Pictures
     separated: Separated
@@ -161,8 +163,9 @@ def _quality(outcome: Outcome) -> dict[str, Any]:
         else None,
         "direct_share_median": _median(best.single[lit] / together[lit]),
     }
+    found |= _stripe_quality(outcome, lit)
     if pictures.white is not None:
-        gap = closure(best, pictures.white)[_bright(pictures.white)]
+        gap = _closure(outcome)[_bright(pictures.white)]
         low, middle, high = np.nanpercentile(gap, [16, 50, 84]) if gap.size else (np.nan,) * 3
         found["closure"] = {
             "mean": _finite(np.nanmean(gap)),
@@ -191,6 +194,20 @@ def _quality(outcome: Outcome) -> dict[str, Any]:
     return found
 
 
+def _stripe_quality(outcome: Outcome, lit: NDArray[np.bool_]) -> dict[str, Any]:
+    """Return what the stripes left behind, and what their model left of them."""
+    pictures, best = outcome.pictures, outcome.separated.best
+    found: dict[str, Any] = {}
+    white = best.single + best.multiple if pictures.white is None else pictures.white
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(lit, best.single / white, np.nan)
+    found["stripe_residue"] = _finite(stripe_residue(share))
+    found["chi2_median"] = _median(best.chi2[lit])
+    if pictures.stripes.shape[0] >= 5:
+        found["second_harmonic_ratio"] = _median(harmonic_ratio(pictures.stripes)[lit])
+    return found
+
+
 def _fit_quality(fit: Attenuation) -> dict[str, Any]:
     return {
         "chi2_per_dof": fit.chi2_per_dof,
@@ -207,6 +224,15 @@ def _additivity(pictures: Pictures) -> float | None:
     both = pictures.white + 2.0 * pictures.black
     bright = _bright(pictures.white)
     return _finite(np.nanmean(together[bright] / both[bright] - 1.0))
+
+
+def _closure(outcome: Outcome) -> Array:
+    """Return how far single and multiple scattering miss the white picture, (rows, cols)."""
+    pictures = outcome.pictures
+    if pictures.white is None:
+        return np.full(outcome.separated.best.single.shape, np.nan)
+    leak = 0.0 if pictures.leak is None else pictures.leak
+    return closure(outcome.separated.best, pictures.white, leak)
 
 
 def _bright(light: Array) -> NDArray[np.bool_]:
@@ -245,12 +271,13 @@ def _pictures(outcome: Outcome, dims: tuple[str, str], *, suffix: str) -> dict[s
         key = f"{name}{suffix}"
         fields[key] = Field(dims=dims, values=values.astype(np.float32), unit=of, meaning=meaning)
     if pictures.white is not None:
-        gap = np.where(_bright(pictures.white), closure(best, pictures.white), np.nan)
+        gap = np.where(_bright(pictures.white), _closure(outcome), np.nan)
         fields[f"closure{suffix}"] = Field(
             dims=dims,
             values=gap.astype(np.float32),
             unit="1",
-            meaning="(single + multiple)/white - 1 where white is above a fifth of its brightest",
+            meaning="(single + multiple + 2 leak)/(white + 2 leak) - 1 where white is above a "
+            "fifth of its brightest",
         )
     return fields
 
@@ -353,7 +380,7 @@ def _provenance(outcome: Outcome) -> dict[str, Any]:
             (outcome.session.path / "session.json").read_bytes()
         ).hexdigest(),
         "devices": header.get("devices"),
-        "calibration": header.get("calibration"),
+        "calibration": dict(outcome.known.used),
     }
 
 

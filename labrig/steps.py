@@ -20,8 +20,10 @@ from analysis.light_field import BounceField, Grid
 from analysis.medium import Beam, Medium, Tank
 from analysis.profile import WHOLE, DepthProfile, depth_profile, measure_beam
 from analysis.separation import (
+    Method,
     Separation,
     as_if_white,
+    refuse_few_phases,
     separate_extrema,
     separate_harmonic,
     separate_known,
@@ -29,6 +31,7 @@ from analysis.separation import (
 )
 from analysis.transport.ordinates import solve_on
 from calibration.projector import stripe_light
+from labrig.corrections import Corrections
 from labrig.errors import AnalysisRefusedError
 from labrig.linearise import Pictures
 from labrig.models.analysis import Analysis
@@ -38,6 +41,7 @@ Array = NDArray[np.float64]
 
 EXCESS_CHI2 = 4.0  # residuals twice the noise
 POOR_FIT = 0.1  # rms of the residual of Eq. 10 over rms of the picture
+FINE_PHASES = 4096  # of one period of the stripes, looked up linearly
 MAX_RADIANCES = 60_000_000  # nodes x angles: half a gigabyte an array
 
 
@@ -79,8 +83,12 @@ class Explained:
     notes: tuple[str, ...]
 
 
-def separate(pictures: Pictures, setup: Setup, config: Analysis) -> Separated:
+def separate(
+    pictures: Pictures, setup: Setup, config: Analysis, known: Corrections | None = None
+) -> Separated:
     """Tell single from multiple scattering (Eqs. 7, 8).
+
+    The pattern is known from a projector record's map, else from a calibrated projection.
 
     Raises
     ------
@@ -89,10 +97,11 @@ def separate(pictures: Pictures, setup: Setup, config: Analysis) -> Separated:
     """
     stripes = setup.stripes or StripesConfig()
     net, variance = pictures.stripes, pictures.stripes_variance
-    known = setup.projection is not None and stripes.profile == "square"
+    mapped = pictures.position_px is not None and known is not None
+    told = (mapped or setup.projection is not None) and stripes.profile == "square"
     method = config.separation
     if method == "auto":
-        method = "known-pattern" if known else "harmonic" if net.shape[0] >= 4 else "extrema"
+        method = "known-pattern" if told else _unknown_phase(net.shape[0], stripes)
 
     def white(found: Separation) -> Separation:
         if pictures.black_variance is not None:
@@ -103,18 +112,76 @@ def separate(pictures: Pictures, setup: Setup, config: Analysis) -> Separated:
 
     extrema = white(separate_extrema(net, variance, stripes.duty))
     if method == "known-pattern":
-        if not known:
+        if not told:
             msg = "separation known-pattern needs square stripes and a calibrated projection."
             raise AnalysisRefusedError(msg)
-        best = separate_known(net, variance, _pattern(setup, pictures), stripes.duty)
+        pattern = _mapped(pictures, stripes, known) if mapped else _pattern(setup, pictures)
+        best = separate_known(net, variance, pattern, stripes.duty)
         return Separated(best=white(best), extrema=extrema, notes=())
     if method == "harmonic":
-        contrast = 0.5 if stripes.profile == "sinusoid" else square_contrast(stripes.duty)
+        contrast, notes = _contrast(pictures, stripes, known)
         best = separate_harmonic(net, variance, contrast=contrast, duty=stripes.duty)
-        note = "The stripes' contrast was not calibrated: blur makes single scattering too small."
-        return Separated(best=white(best), extrema=extrema, notes=(note,))
+        return Separated(best=white(best), extrema=extrema, notes=notes)
     note = "Separated by extremes over the shifts: noise and blur are not corrected."
     return Separated(best=extrema, extrema=extrema, notes=(note,))
+
+
+def _unknown_phase(n_shifts: int, stripes: StripesConfig) -> Method:
+    """Return the estimator for stripes of unknown phase; a pattern and its inverse need no four."""
+    if n_shifts == 2 and stripes.profile == "square":
+        return "extrema"
+    refuse_few_phases(n_shifts)
+    return "harmonic"
+
+
+def _contrast(
+    pictures: Pictures, stripes: StripesConfig, known: Corrections | None
+) -> tuple[float | Array, tuple[str, ...]]:
+    """Return c1, of every column if a record knows it, and what must be said of it.
+
+    Raises
+    ------
+    AnalysisRefusedError
+        If the record is about another period or unit.
+    """
+    measured = known.projected.contrast if known is not None and known.projected else None
+    if measured is None:
+        sharp = 0.5 if stripes.profile == "sinusoid" else square_contrast(stripes.duty)
+        note = "The stripes' contrast was not calibrated: blur makes single scattering too small."
+        return sharp, (note,)
+    if measured.unit != pictures.unit or measured.period_px != stripes.period_px:
+        msg = (
+            f"c1 was measured for stripes of {measured.period_px:g} px in {measured.unit}, the "
+            f"session has {stripes.period_px:g} px in {pictures.unit}; measure it for these."
+        )
+        raise AnalysisRefusedError(msg)
+    depth = np.arange(pictures.stripes.shape[2], dtype=np.float64)
+    return measured.at((depth + 0.5) * pictures.pixel), ()
+
+
+def _mapped(
+    pictures: Pictures, stripes: StripesConfig, known: Corrections | None
+) -> NDArray[np.float32]:
+    """Return the light of each stripe picture by the projector's map, (n, rows, cols).
+
+    One period is computed finely and looked up.
+    """
+    projected = known.projected if known is not None else None
+    if projected is None or pictures.position_px is None:
+        msg = "the pattern is known only with a projector record."
+        raise AnalysisRefusedError(msg)
+    n = pictures.stripes.shape[0]
+    transfer = projected.transfer.get(stripes.axis)
+    fine = np.linspace(0.0, stripes.period_px, FINE_PHASES + 1, dtype=np.float64)
+    light = stripe_light(
+        fine,
+        period_px=stripes.period_px,
+        duty=stripes.duty,
+        n_shifts=n,
+        transfer=None if transfer is None else transfer.at,
+    )
+    where = np.mod(pictures.position_px - stripes.offset_px, stripes.period_px)
+    return np.stack([np.interp(where, fine, line) for line in light]).astype(np.float32)
 
 
 def attenuate(separated: Separated, pictures: Pictures, setup: Setup, config: Analysis) -> Decay:
@@ -247,7 +314,9 @@ def explain(
 def _beam(pictures: Pictures, setup: Setup) -> tuple[Beam, tuple[str, ...]]:
     if setup.beam:
         return setup.beam.record(), ()
-    lit = pictures.stripes.mean(axis=0) if pictures.white is None else pictures.white
+    lit = pictures.white
+    if lit is None:
+        lit = pictures.stripes.mean(axis=0).astype(np.float64)
     beam = measure_beam(lit, pictures.pixel)
     note = (
         f"The beam was measured from the picture: {beam.from_mm:.4g} to {beam.to_mm:.4g} "

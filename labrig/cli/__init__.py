@@ -10,6 +10,7 @@ from analysis.errors import AnalysisError
 from calibration.errors import CalibrationError
 from drivers.errors import DriverError
 from labrig.cli.analyse import analyse, report
+from labrig.cli.calibrate import app as calibrate
 from labrig.cli.capture import capture, import_, verify
 from labrig.cli.demo import demo
 from labrig.cli.exits import EXIT_BAD_INPUT, EXIT_DAMAGED, EXIT_DEVICE, EXIT_INTERRUPTED
@@ -27,6 +28,7 @@ app = typer.Typer(
 for command in (demo, capture, verify, analyse, report, solve, schema):
     app.command()(command)
 app.command(name="import")(import_)
+app.add_typer(calibrate, name="calibrate")  # further kinds: calibrate.command(...)(...)
 
 
 def main() -> None:

@@ -19,6 +19,8 @@ class SchemaKind(StrEnum):
     scene = "scene"
     analysis = "analysis"
     import_ = "import"
+    board = "board"
+    calibration = "calibration"
 
 
 def schema(kind: Annotated[SchemaKind, typer.Argument(help="Kind of file.")]) -> None:

@@ -23,6 +23,12 @@ class Analysis(Model):
     n_g: int = Field(9, ge=3, le=64, description="Chebyshev nodes in g")
     depth_range_mm: tuple[float, float] | None = Field(None, description="of Eq. 9; else chosen")
 
+    calibration: dict[str, str] = Field(
+        default_factory=dict,
+        description="record folders by kind, relative to this file; they take precedence over the "
+        "session's own",
+    )
+
     @model_validator(mode="after")
     def _ranges_are_ordered(self) -> Analysis:
         low, high = self.g_range

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-Role = Literal["stripes", "white", "black", "ambient", "dark", "flat"]
+Role = Literal["stripes", "white", "black", "ambient", "dark", "flat", "board", "grey-code", "ramp"]
 MAX_SHIFTS = 1000
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
@@ -23,6 +23,20 @@ def check_shift(role: str, shift: int | None, shifts: int | None) -> None:
         raise ValueError(msg)
     elif shift >= shifts:
         msg = f"shift {shift} is not below shifts {shifts}"
+        raise ValueError(msg)
+
+
+def check_code(role: str, code: tuple[object, ...], level: float | None) -> None:
+    """Refuse a Grey code without axis, bit and polarity, a ramp without level, others with them."""
+    given = [part is not None for part in code]
+    if role == "grey-code" and not all(given):
+        msg = "role grey-code needs axis, bit and polarity"
+        raise ValueError(msg)
+    if role != "grey-code" and any(given):
+        msg = f"only role grey-code has axis, bit and polarity, not {role}"
+        raise ValueError(msg)
+    if (role == "ramp") != (level is not None):
+        msg = "role ramp needs level" if role == "ramp" else f"only role ramp has level, not {role}"
         raise ValueError(msg)
 
 

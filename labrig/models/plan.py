@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
-from labrig.models.base import MAX_SHIFTS, Model, Positive, Role, check_shift
+from labrig.models.base import MAX_SHIFTS, Model, Positive, Role, check_code, check_shift
 
 
 class StripesPattern(Model):
@@ -125,7 +125,8 @@ class Shot(Model):
 
     ``shift`` k of ``shifts`` N: the stripes moved by k/N of their period; both None for the
     others. ``pattern`` is the digest of the projector image, None if the projector is off or the
-    picture was made elsewhere.
+    picture was made elsewhere. ``axis``, ``bit`` (0 the finest) and ``polarity`` name a picture of
+    a Grey code, ``level`` (share of white) one of a ramp.
     """
 
     model_config = ConfigDict(strict=True)
@@ -140,8 +141,13 @@ class Shot(Model):
     shifts: int | None = Field(None, ge=2, le=MAX_SHIFTS)
     pattern: str | None = None
     shutter: Literal["open", "covered"] = "open"
+    axis: Literal["x", "y"] | None = None
+    bit: int | None = Field(None, ge=0, le=15)
+    polarity: Literal["plain", "inverse"] | None = None
+    level: float | None = Field(None, ge=0.0, le=1.0)
 
     @model_validator(mode="after")
     def _only_stripes_have_shifts(self) -> Shot:
         check_shift(self.role, self.shift, self.shifts)
+        check_code(self.role, (self.axis, self.bit, self.polarity), self.level)
         return self

@@ -8,6 +8,8 @@ from pydantic import Field, model_validator
 
 from analysis.medium import Beam, Tank
 from calibration.model import CameraModel
+from calibration.record import Conditions
+from calibration.response import LINEAR, srgb_response
 from labrig.models.base import Model, NonNegative, Positive
 
 
@@ -19,7 +21,7 @@ class CameraConfig(Model):
     white_level_dn: Positive
     gain_dn_per_e: Positive | None = Field(None, description="system gain; unknown if left out")
     read_noise_e: Positive | None = Field(None, description="unknown if left out")
-    response: Literal["linear"] = "linear"
+    response: Literal["linear", "srgb"] = "linear"
 
     @model_validator(mode="after")
     def _levels_fit(self) -> CameraConfig:
@@ -34,7 +36,7 @@ class CameraConfig(Model):
             white_level_dn=self.white_level_dn,
             gain_dn_per_e=self.gain_dn_per_e,
             read_noise_e=self.read_noise_e,
-            response=self.response,
+            response=LINEAR if self.response == "linear" else srgb_response(self.bits),
         )
 
 
@@ -98,6 +100,8 @@ class StripesConfig(Model):
     period_px: Positive = 12
     duty: float = Field(0.5, gt=0.0, lt=1.0)
     profile: Literal["square", "sinusoid"] = "square"
+    axis: Literal["x", "y"] = Field("x", description="projector axis along which they vary")
+    offset_px: float = Field(0.0, description="where a lit stripe of shift 0 begins")
     low: float = Field(0.0, ge=0.0, lt=1.0, description="light of a dark stripe, share of white")
     high: float = Field(1.0, gt=0.0, le=1.0, description="light of a lit stripe, share of white")
 
@@ -117,6 +121,28 @@ class ProjectionConfig(Model):
     blur_px: NonNegative = Field(0.0, description="standard deviation of its blur, projector px")
 
 
+class ProjectorSizeConfig(Model):
+    """Native size of the projector, px: what its Grey codes count to."""
+
+    rows: int = Field(ge=1, le=10000)
+    cols: int = Field(ge=1, le=10000)
+
+
+class ConditionsConfig(Model):
+    """What calibrations depend on and pictures do not say, as words; left out where unknown."""
+
+    camera: str | None = Field(None, description="model and serial number")
+    lens: str | None = Field(None, description="focal length, focus, aperture")
+    gain: str | None = Field(None, description="the camera's gain setting")
+    mode: str | None = Field(None, description="the camera's pixel format or readout mode")
+    projector: str | None = Field(None, description="model and serial number")
+    projector_mode: str | None = Field(None, description="resolution, refresh rate, picture mode")
+
+    def record(self, bits: int | None, roi: tuple[int, ...] | None) -> Conditions:
+        """Return the calibration's record of these conditions."""
+        return Conditions(**self.model_dump(), bits=bits, roi=roi)
+
+
 class Setup(Model):
     """All that a session must tell the analysis beside its frames."""
 
@@ -126,3 +152,5 @@ class Setup(Model):
     beam: BeamConfig | None = Field(None, description="else measured from the white frame")
     stripes: StripesConfig | None = None
     projection: ProjectionConfig | None = Field(None, description="where it is calibrated")
+    projector: ProjectorSizeConfig | None = Field(None, description="needed by Grey codes")
+    conditions: ConditionsConfig | None = Field(None, description="what calibrations depend on")

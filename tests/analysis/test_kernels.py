@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from analysis import separation
 from analysis.light_field import Grid
 from analysis.medium import Medium, Tank
 from analysis.transport import beam as beam_kernels
@@ -142,16 +143,70 @@ def test_draw_and_deflect(g):
 
 
 def test_merge():
-    counts = np.random.default_rng(2).integers(0, 4096, (3, 40)).astype(np.uint16)
-    counts[:, 0] = 4095
+    counts = np.random.default_rng(2).integers(0, 4096, (3, 6, 7)).astype(np.uint16)
+    counts[:, 0, 0] = 4095
     results = []
-    for kernel in (hdr._merge, hdr._merge.py_func):
-        value, variance = np.empty(40, np.float32), np.empty(40, np.float32)
-        noise = (0.28, 9.4)
-        kernel(
-            counts, np.array([0.1, 0.2, 0.4]), np.full(3, 16.0), 3890.0, noise, 3, value, variance
-        )
-        results.append((value, variance))
-    np.testing.assert_array_equal(results[0][0], results[1][0])
-    np.testing.assert_array_equal(results[0][1], results[1][1])
-    assert np.isnan(results[0][0][0])
+    for add, solve in ((hdr._add, hdr._solve), (hdr._add.py_func, hdr._solve.py_func)):
+        sums, counted = np.zeros((3, 42), np.float32), np.zeros((3, 42), np.uint16)
+        table, offset = np.arange(4096, dtype=np.float32), np.full(1, 16.0, np.float32)
+        for k in range(3):
+            add(counts[k], table, offset, (3890.0, 4095.0), sums[k], counted[k])
+        value, variance = np.empty(42, np.float32), np.empty(42, np.float32)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            solve(sums, counted, np.array([0.1, 0.2, 0.4]), (0.28, 9.4), 3, value, variance)
+        results.append((sums, value, variance))
+    for fast, slow in zip(*results, strict=True):
+        # measured equal to the bit
+        np.testing.assert_array_equal(fast, slow)
+    assert np.isnan(results[0][1][0])
+
+
+def separation_by_numpy(net, variance, pattern, duty):
+    """The literal equations: least squares pixel by pixel with numpy's own solver."""
+    n, rows, cols = net.shape
+    found = np.empty((5, rows, cols))
+    for y in range(rows):
+        for x in range(cols):
+            p = np.stack([pattern[:, y, x], np.full(n, duty)], axis=1)
+            inverse = np.linalg.inv(p.T @ p) @ p.T
+            answer = inverse @ net[:, y, x]
+            covariance = inverse @ np.diag(variance[:, y, x]) @ inverse.T
+            rest = net[:, y, x] - p @ answer
+            chi2 = (rest @ rest) / variance[:, y, x].mean() / (n - 2)
+            found[:, y, x] = *answer, *np.diag(covariance), chi2
+    return found
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_known_pattern(dtype):
+    rng = np.random.default_rng(4)
+    net, variance = rng.random((6, 5, 4)).astype(dtype), rng.random((6, 5, 4)).astype(dtype) + 1
+    pattern = rng.random((6, 5, 4))
+    found = separation.separate_known(net, variance, pattern, 0.4)
+    literal = separation_by_numpy(net.astype(float), variance.astype(float), pattern, 0.4)
+    parts = (found.single, found.multiple, found.single_variance, found.multiple_variance)
+    # measured worst 2e-13
+    np.testing.assert_allclose(np.stack([*parts, found.chi2]), literal, rtol=1e-9)
+
+
+@pytest.mark.parametrize("kernel", ["_known", "_harmonic", "_extrema"])
+def test_separation_kernels(kernel):
+    rng = np.random.default_rng(5)
+    net, variance = rng.random((6, 5, 4)), rng.random((6, 5, 4))
+    net[2, 0, 0] = np.nan
+    turn = 2.0 * np.pi * np.arange(6) / 6
+    own = {
+        "_known": (rng.random((6, 5, 1)), 0.5, 1e-4),
+        "_harmonic": (np.stack([np.cos(turn), -np.sin(turn)]) / 3.0, np.full(4, 1.6), 0.5),
+        "_extrema": (0.5,),
+    }[kernel]
+    fast, slow = np.empty((5, 5, 4)), np.empty((5, 5, 4))
+    seen = np.empty((2, 5, 4), np.uint8)
+    compiled = getattr(separation, kernel)
+    with np.errstate(invalid="ignore"):
+        compiled(net, variance, *own, *fast[:4], seen[0], fast[4])
+        compiled.py_func(net, variance, *own, *slow[:4], seen[1], slow[4])
+    # measured worst 3e-16
+    np.testing.assert_allclose(fast, slow, rtol=1e-12)
+    np.testing.assert_array_equal(seen[0], seen[1])
+    assert np.isnan(fast[:4, 0, 0]).all()

@@ -7,10 +7,12 @@ from analysis.errors import AnalysisError
 from analysis.separation import (
     as_if_white,
     closure,
+    harmonic_ratio,
     separate_extrema,
     separate_harmonic,
     separate_known,
     square_contrast,
+    stripe_residue,
 )
 from calibration.projector import stripe_light
 
@@ -135,3 +137,83 @@ def test_bad_stacks_are_refused_in_one_line():
         separate_extrema(np.ones((1, 2, 2)), np.ones((1, 2, 2)))
     with pytest.raises(AnalysisError, match="does not change"):
         separate_known(np.ones((4, 2, 2)), np.ones((4, 2, 2)), np.ones((4, 2, 1)))
+
+
+def test_leak_of_black_is_nayars_with_b():
+    leak = np.array([[0.0, 0.05, 0.2]])
+    pattern = leak + (1.0 - leak) * np.array([1.0, 1.0, 0.0, 0.0]).reshape(4, 1, 1)
+    net = 30.0 * pattern + 50.0 * (1.0 + leak) / 2.0
+    found = separate_extrema(net, np.ones_like(net), leak=leak)
+    # measured worst 4e-16
+    np.testing.assert_allclose(found.single, 30.0, rtol=1e-12)
+    np.testing.assert_allclose(found.multiple, 50.0, rtol=1e-12)
+    # max of variance one: D carries 2/(1 - b)^2
+    np.testing.assert_allclose(found.single_variance, 2.0 / (1.0 - leak) ** 2)
+    with pytest.raises(AnalysisError, match="darker than white"):
+        separate_extrema(net, np.ones_like(net), leak=1.0)
+
+
+def test_chi2_of_a_right_pattern_is_one_and_of_a_wrong_one_is_not():
+    net, variance, pattern = pictures(500.0, 2000.0, 1.0)
+    right = separate_known(net, variance, pattern)
+    assert (right.single / np.sqrt(right.single_variance)).mean() > 5.0
+    # per pixel 4 degrees of freedom; measured mean 0.999
+    assert right.chi2.mean() == pytest.approx(1.0, abs=0.1)
+    wrong = separate_known(net, variance, np.roll(pattern, 1, axis=0))
+    assert wrong.chi2.mean() > 5.0  # measured 34
+
+
+def test_blur_at_period_six_is_corrected_with_c1_known():
+    rng = np.random.default_rng(3)
+    position = rng.uniform(0.0, 6.0, (1, PIXELS))
+    kind = {"period_px": 6.0, "duty": 0.5, "n_shifts": N, "blur_px": 1.0, "pixel_px": 0.0}
+    pattern = stripe_light(position, **kind)
+    mean = 2000.0 * pattern + 4000.0 * 0.5
+    net = rng.poisson(mean) + rng.normal(0.0, 10.0, mean.shape)
+    c1 = square_contrast(0.5) * np.exp(-2.0 * (np.pi / 6.0) ** 2)
+    found = separate_harmonic(net, mean + 100.0, contrast=c1, duty=0.5)
+    # measured -0.11 % and +0.06 %; with the c1 of sharp stripes -42 %
+    assert found.single.mean() == pytest.approx(2000.0, rel=0.01)
+    assert found.multiple.mean() == pytest.approx(4000.0, rel=0.01)
+
+
+def test_contrast_may_differ_from_column_to_column():
+    k = np.arange(6).reshape(-1, 1, 1)
+    c1 = np.array([0.3, 0.5, 0.6])
+    net = 7.0 * (0.5 + c1 * np.cos(1.0 - 2 * np.pi * k / 6)) + 0.5 * 3.0 + np.zeros((6, 2, 3))
+    found = separate_harmonic(net, np.full_like(net, np.nan), contrast=c1, duty=0.5)
+    # measured worst 9e-16
+    np.testing.assert_allclose(found.single, 7.0, rtol=1e-12)
+    with pytest.raises(AnalysisError, match="not positive"):
+        separate_harmonic(net, net, contrast=0.0, duty=0.5)
+
+
+def test_gamma_shows_in_the_second_harmonic():
+    phase = np.linspace(0.0, 2 * np.pi, 30)[None, :]
+    k = np.arange(6).reshape(-1, 1, 1)
+    turn = phase - 2 * np.pi * k / 6
+    net = 5.0 + np.cos(turn) + 0.14 * np.cos(2 * turn)
+    # measured worst 1e-15
+    np.testing.assert_allclose(harmonic_ratio(net), 0.14, rtol=1e-9)
+    with pytest.raises(AnalysisError, match="5 are needed"):
+        harmonic_ratio(net[:4])
+
+
+def test_stripes_left_in_direct_light_show_and_slow_changes_do_not():
+    x = np.arange(200)
+    smooth = np.broadcast_to(np.exp(-x / 80.0), (60, 200))
+    assert stripe_residue(smooth) < 0.015  # measured 0.008, all of it at the edges
+    striped = smooth + 0.1 * np.sin(2 * np.pi * x / 6.0)
+    # 0.1/sqrt(2), and what little the window leaves of it; measured 0.0686
+    assert stripe_residue(striped) == pytest.approx(0.0707, rel=0.05)
+    assert np.isnan(stripe_residue(np.full((5, 5), np.nan)))
+
+
+def test_negative_global_light_is_not_clipped():
+    net = 10.0 * np.array([1.0, 1.0, 0.0, 0.0]).reshape(4, 1, 1) - 2.0 + np.zeros((4, 3, 3))
+    pattern = np.array([1.0, 1.0, 0.0, 0.0]).reshape(4, 1, 1) + np.zeros((4, 3, 3))
+    for found in (
+        separate_known(net, np.ones_like(net), pattern),
+        separate_extrema(net, np.ones_like(net)),
+    ):
+        np.testing.assert_allclose(found.multiple, -4.0)

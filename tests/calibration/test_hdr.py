@@ -60,6 +60,13 @@ def test_pixels_clipped_in_every_frame_are_masked_and_never_invented():
     assert found.valid[5:].all()
 
 
+def test_saturated_pixels_do_not_spoil_others_of_the_same_columns():
+    rate = np.full((40, 600), 3_000.0)
+    rate[3, 7] = 1e6
+    found = merge(frames(rate), BRACKET, (16.0,) * 3, CAMERA)
+    assert (~found.valid).sum() == 1
+
+
 def test_darkness_keeps_its_sign():
     found = merge(frames(np.zeros((200, 200))), BRACKET, (16.0,) * 3, CAMERA)
     assert (found.value < 0).mean() == pytest.approx(0.5, abs=0.05)

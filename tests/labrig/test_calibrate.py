@@ -1,0 +1,355 @@
+"""Records made of sessions by the command line, and used or refused by an analysis."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+import labrig
+from calibration.errors import CalibrationError
+from calibration.geometry import Board
+from labrig.cli import run
+from labrig.errors import AnalysisRefusedError, ConfigError
+
+SHAPE = (60, 80)
+CAMERA = {"bits": 12, "black_level_dn": 16, "white_level_dn": 4095}
+RAMP = (0.001, 0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.6)
+CONDITIONS = {"camera": "Test 1", "gain": "0 dB", "lens": "16 mm"}
+
+ManifestWriter = Callable[..., Path]
+Command = Callable[..., Any]
+
+
+def frame(folder: Path, name: str, counts: np.ndarray, role: str, exposure_s: float, **more: Any):
+    folder.mkdir(parents=True, exist_ok=True)
+    tifffile.imwrite(folder / name, np.clip(np.rint(counts), 0, 4095).astype(np.uint16))
+    return {"file": name, "role": role, "exposure_s": exposure_s, **more}
+
+
+def lit(rate: float, exposure_s: float, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    electrons = rng.poisson(rate * exposure_s / 0.28, SHAPE)
+    return 16.0 + 0.28 * (electrons + rng.normal(0.0, 10.9, SHAPE))
+
+
+@pytest.fixture(scope="module")
+def camera_session(
+    tmp_path_factory: pytest.TempPathFactory, write_manifest: ManifestWriter
+) -> Path:
+    """Pairs of flat and dark frames at eight exposures, the longest saturated."""
+    folder = tmp_path_factory.mktemp("camera")
+    frames = []
+    for k, t in enumerate(RAMP):
+        for j in (0, 1):
+            seed = 10 * k + j
+            frames.append(frame(folder, f"b{k}{j}.tif", lit(8000.0, t, seed), "flat", t))
+            frames.append(frame(folder, f"d{k}{j}.tif", lit(0.0, t, 500 + seed), "dark", t))
+    manifest = write_manifest(folder, frames, camera=CAMERA, conditions=CONDITIONS)
+    return labrig.import_session(manifest, folder / "sessions")
+
+
+@pytest.fixture(scope="module")
+def records(camera_session: Path) -> dict[str, Path]:
+    """Dark and photon-transfer records of the camera session, beside it."""
+    return {kind: labrig.calibrate(kind, camera_session) for kind in ("dark", "photon-transfer")}
+
+
+def stripes(folder: Path, write_manifest: ManifestWriter, **keys: Any) -> Path:
+    """A session of six stripe pictures, white and black, at one exposure."""
+    rng = np.random.default_rng(3)
+    x = np.arange(SHAPE[1])
+    frames = []
+    for k in range(6):
+        light = 1000.0 + 600.0 * np.cos(2 * np.pi * (x / 12.0 - k / 6.0))
+        counts = 16.0 + light + rng.normal(0, 3.0, SHAPE)
+        frames.append(frame(folder, f"s{k}.tif", counts, "stripes", 0.1, shift=k, shifts=6))
+    frames.append(frame(folder, "w.tif", np.full(SHAPE, 2016.0), "white", 0.1))
+    frames.append(frame(folder, "k.tif", np.full(SHAPE, 36.0), "black", 0.1))
+    given = {"stripes": {"profile": "sinusoid"}, "conditions": CONDITIONS, "camera": CAMERA, **keys}
+    return labrig.import_session(write_manifest(folder, frames, **given), folder / "sessions")
+
+
+def test_photon_transfer_by_the_command_line_stands_beside_its_session(
+    command: Command, camera_session: Path
+) -> None:
+    said = command("calibrate", "photon-transfer", camera_session, "--json")
+    assert said.code == 0
+    found = json.loads(said.out)
+    path = Path(found["path"])
+    assert path.parent == camera_session.parent
+    # measured 0.2792 and 11.02, of pairs of 4800 px
+    assert found["quantities"]["gain_dn_per_e"]["value"] == pytest.approx(0.28, rel=0.02)
+    assert found["quantities"]["dark_noise_e"]["value"] == pytest.approx(10.9, rel=0.02)
+    assert found["conditions"]["camera"] == "Test 1"
+    text = (path / "record.yaml").read_text(encoding="utf-8")
+    assert "gain_dn_per_e:\n    value: 0.2" in text
+    page = (path / "report.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png;base64,") == 1
+    assert "<script" not in page
+    assert "http" not in page
+    assert (path / "figures" / "photon-transfer.pdf").is_file()
+
+
+def test_a_table_is_printed_for_people(
+    command: Command, camera_session: Path, tmp_path: Path
+) -> None:
+    said = command("calibrate", "dark", camera_session, "--out", tmp_path)
+    assert said.code == 0
+    assert "offset_dn" in said.out
+    assert "record" in said.out
+
+
+def test_flat_and_response_are_made_too(
+    camera_session: Path, records: dict[str, Path], tmp_path: Path
+) -> None:
+    with pytest.raises(CalibrationError, match="half of the range"):
+        labrig.calibrate("flat", camera_session, out=tmp_path)
+    response = labrig.read_calibration(labrig.calibrate("response", camera_session, out=tmp_path))
+    assert response.settings["response"] == "linear"
+    # measured 0.0004
+    assert response.quantities["linearity_rms"].value < 0.01
+
+
+def test_an_analysis_uses_the_records_it_is_named(
+    records: dict[str, Path], tmp_path: Path, write_manifest: ManifestWriter
+) -> None:
+    session = stripes(tmp_path, write_manifest)
+    plain = labrig.analyse(session, until="separation", out=tmp_path / "plain")
+    assert np.isnan(plain.fields["single_variance"].values).all()
+    file = tmp_path / "analysis.yaml"
+    named = {kind: str(path) for kind, path in records.items()}
+    file.write_text(json.dumps({"schema": "labrig-analysis/1", "calibration": named}))
+    found = labrig.analyse(session, file, until="separation", out=tmp_path / "with")
+    assert set(found.run["provenance"]["calibration"]) == {"dark", "photon-transfer"}
+    assert any("photon-transfer record" in note for note in found.run["notes"])
+    stated = np.sqrt(np.nanmean(found.fields["single_variance"].values))
+    # K E of 1000 DN and the read noise: 17.0 DN a shot, 2/sqrt(3) of it in D, in 0.1 s; measured
+    # 19.62 DN against 19.63
+    assert stated == pytest.approx(17.0 * 2.0 / np.sqrt(3.0) / 0.1, rel=0.05)
+    hot = labrig.read_calibration(records["dark"]).settings["hot_pixels"]
+    assert int(np.isnan(found.fields["single"].values).sum()) == hot
+
+
+def test_a_session_can_name_its_records_itself(
+    records: dict[str, Path], tmp_path: Path, write_manifest: ManifestWriter
+) -> None:
+    shutil.copytree(records["photon-transfer"], tmp_path / "gain")
+    session = stripes(tmp_path, write_manifest, calibration={"photon-transfer": "gain"})
+    found = labrig.analyse(session, until="separation")
+    assert "photon-transfer" in found.run["provenance"]["calibration"]
+
+
+@pytest.mark.parametrize(
+    ("conditions", "kind", "said"),
+    [
+        ({**CONDITIONS, "gain": "12 dB"}, "dark", "gain was 0 dB and is 12 dB"),
+        ({**CONDITIONS, "camera": "Other 2"}, "photon-transfer", "camera was Test 1"),
+        (CONDITIONS, "flat", "it was named as flat"),
+    ],
+)
+def test_records_that_do_not_hold_are_refused_in_one_line(
+    records: dict[str, Path],
+    tmp_path: Path,
+    write_manifest: ManifestWriter,
+    conditions: dict[str, str],
+    kind: str,
+    said: str,
+) -> None:
+    path = records["dark" if kind == "flat" else kind]
+    session = stripes(
+        tmp_path, write_manifest, conditions=conditions, calibration={kind: str(path)}
+    )
+    with pytest.raises(AnalysisRefusedError, match=said) as caught:
+        labrig.analyse(session, until="separation")
+    assert "\n" not in str(caught.value)
+
+
+def test_what_was_not_noted_is_told_and_not_refused(
+    records: dict[str, Path], tmp_path: Path, write_manifest: ManifestWriter
+) -> None:
+    session = stripes(
+        tmp_path,
+        write_manifest,
+        conditions={"camera": "Test 1"},
+        calibration={"dark": str(records["dark"])},
+    )
+    found = labrig.analyse(session, until="separation")
+    assert any("gain was 0 dB and is not noted" in note for note in found.run["notes"])
+
+
+def test_damaged_and_missing_records_get_one_line(
+    command: Command, records: dict[str, Path], tmp_path: Path
+) -> None:
+    copy = shutil.copytree(records["dark"], tmp_path / "dark")
+    arrays = (copy / "arrays.nc").read_bytes()
+    (copy / "arrays.nc").write_bytes(arrays[:-1] + b"?")
+    for path in (copy, tmp_path / "nowhere"):
+        said = command("report", path)
+        assert said.code != 0
+        assert said.err.count("\n") == 1
+        assert "Traceback" not in said.err
+    (copy / "arrays.nc").unlink()
+    with pytest.raises(ConfigError, match="cannot be read"):
+        labrig.read_calibration(copy)
+
+
+def test_sessions_that_cannot_serve_get_one_line(
+    command: Command, tmp_path: Path, write_manifest: ManifestWriter
+) -> None:
+    session = stripes(tmp_path, write_manifest)
+    for kind in ("dark", "flat", "photon-transfer", "response", "geometry"):
+        said = command("calibrate", kind, session, "--out", tmp_path / kind)
+        assert said.code == 2
+        assert said.err.startswith("labrig: ")
+        assert said.err.count("\n") == 1
+        assert not (tmp_path / kind).exists()
+
+
+def test_contrast_against_depth_is_measured_and_divided_out(
+    tmp_path: Path, write_manifest: ManifestWriter
+) -> None:
+    rng = np.random.default_rng(9)
+    y = np.arange(SHAPE[0])[:, None]
+    depth = np.arange(SHAPE[1]) + 0.5
+    c1 = 0.55 * np.exp(-(((depth - 30.0) / 70.0) ** 2))
+    frames = []
+    for k in range(6):
+        light = 2000.0 * (0.5 + c1 * np.cos(2 * np.pi * (y / 12.0 - k / 6.0)))
+        counts = 16.0 + light + rng.normal(0.0, 3.0, SHAPE)
+        frames.append(frame(tmp_path, f"s{k}.tif", counts, "stripes", 0.1, shift=k, shifts=6))
+    frames.append(frame(tmp_path, "w.tif", np.full(SHAPE, 2016.0), "white", 0.1))
+    frames.append(frame(tmp_path, "k.tif", np.full(SHAPE, 16.0), "black", 0.1))
+    keys = {"camera": CAMERA, "stripes": {"profile": "square"}}
+    session = labrig.import_session(write_manifest(tmp_path, frames, **keys), tmp_path / "s")
+    record = labrig.calibrate("projector", session)
+    file = tmp_path / "analysis.yaml"
+    named = {"projector": str(record)}
+    file.write_text(json.dumps({"schema": "labrig-analysis/1", "calibration": named}))
+    found = labrig.analyse(session, file, until="separation")
+    share = found.fields["single"].values / 2.0e4
+    # the target is opaque: all of its light is direct. Measured worst column 0.6 %
+    np.testing.assert_allclose(np.median(share, axis=0), 1.0, atol=0.015)
+    assert not any("not calibrated" in note for note in found.run["notes"])
+
+
+def test_board_is_drawn_in_true_size_and_found_again(command: Command, tmp_path: Path) -> None:
+    said = command("calibrate", "board", "--out", tmp_path / "board", "--square-mm", 8)
+    assert said.code == 0
+    with Image.open(tmp_path / "board" / "board.png") as drawn:
+        # nine squares of 8 mm and two margins of 10 mm, at 600 dpi
+        assert drawn.width / drawn.info["dpi"][0] * 25.4 == pytest.approx(92.0, abs=0.05)
+        picture = np.asarray(drawn.convert("L").resize((1100, 909)))
+    assert labrig.draw_board(tmp_path / "again")[0].read_bytes().startswith(b"%PDF")
+    pdf = (tmp_path / "board" / "board.pdf").read_bytes()
+    box = pdf.split(b"/MediaBox [ 0 0 ")[1].split(b" ]")[0].split()
+    assert float(box[0]) / 72.0 * 25.4 == pytest.approx(92.0, abs=0.05)
+    detector = cv2.aruco.CharucoDetector(Board(square_mm=8.0).opencv())
+    _, ids, _, _ = detector.detectBoard(picture)
+    assert len(ids) == 48
+
+
+def test_grey_code_of_real_paper_makes_a_map_that_separates_its_finest_stripes(
+    real_data: Path, tmp_path: Path, write_manifest: ManifestWriter
+) -> None:
+    taken = real_data / "procam_stripes" / "capture_0"
+
+    cut = tmp_path / "cut"
+    cut.mkdir()
+    for number in (*range(20), 40, 41):
+        with Image.open(taken / f"graycode_{number:02d}.png") as picture:
+            picture.crop((0, 100, 1280, 400)).save(cut / f"{number}.png")
+
+    def shot(number: int, role: str, **more: Any) -> dict[str, Any]:
+        return {"file": str(cut / f"{number}.png"), "role": role, "exposure_s": 1.0, **more}
+
+    camera = {"bits": 8, "black_level_dn": 0, "white_level_dn": 255}
+    ends = [shot(40, "white"), shot(41, "black")]
+    code = [
+        shot(2 * (9 - bit) + k, "grey-code", axis="x", bit=bit, polarity=polarity)
+        for bit in range(10)
+        for k, polarity in enumerate(("plain", "inverse"))
+    ]
+    size = {"rows": 768, "cols": 1024}
+    grey = write_manifest(tmp_path / "grey", [*code, *ends], camera=camera, projector=size)
+    record = labrig.calibrate("projector", labrig.import_session(grey, tmp_path / "s"))
+    found = labrig.read_calibration(record)
+    # measured 5.6 % and 0.315 px
+    assert found.quantities["leak_median"].value == pytest.approx(0.055, abs=0.005)
+    assert found.quantities["map_x_residual_px"].value < 0.35
+    pair = [shot(18, "stripes", shift=0, shifts=2), shot(19, "stripes", shift=1, shifts=2)]
+    manifest = write_manifest(
+        tmp_path / "pair",
+        [*pair, *ends],
+        camera=camera,
+        stripes={"period_px": 4, "offset_px": 1},
+        calibration={"projector": str(record)},
+    )
+    result = labrig.analyse(labrig.import_session(manifest, tmp_path / "s"), until="separation")
+    assert result.run["method"]["separation"] == "known-pattern"
+    quality = result.run["quality"]
+    # one shift is the other's inverse; measured -1.709 and -1.714 %, for stripe edges are masked
+    assert quality["closure"]["mean"] == pytest.approx(quality["additivity"], abs=1e-3)
+    # by extremes 0.42; measured 1.12
+    assert quality["direct_share_median"] >= 0.9
+
+
+def test_help_names_every_kind(command: Command) -> None:
+    said = command("calibrate", "--help")
+    for kind in ("dark", "flat", "photon-transfer", "response", "geometry", "board", "projector"):
+        assert kind in said.out
+    assert run(["calibrate", "nonsense"]) == 2
+
+
+def test_a_geometry_record_brings_pictures_to_even_millimetres(
+    tmp_path: Path, write_manifest: ManifestWriter
+) -> None:
+    """Boards seen square on by a lens without distortion: mm are px times a known scale."""
+    board = Board()
+    drawn = board.draw(3.0).astype(np.uint16) * 12 + 400
+    frames = []
+    for k, (left, top, tilt) in enumerate(((40, 30, 0.0), (20, 50, 0.3), (60, 20, -0.3))):
+        # a homography of a camera of 400 px focal length at 150 mm; the first view is square on
+        turn, _ = cv2.Rodrigues(np.array([tilt, -0.7 * tilt, 0.1 * k]))
+        place = np.array([(left - 160) * 0.375, (top - 120) * 0.375, 150.0 + 10.0 * k])
+        matrix = np.array([[400.0, 0, 159.5], [0, 400.0, 119.5], [0, 0, 1.0]])
+        plane = matrix @ np.column_stack([turn[:, 0], turn[:, 1], place])
+        scale = np.array([[1 / 3.0, 0, 1 / 6.0], [0, 1 / 3.0, 1 / 6.0], [0, 0, 1.0]])
+        seen = cv2.warpPerspective(
+            cv2.GaussianBlur(drawn, (0, 0), 0.6), plane @ scale, (320, 240), borderValue=2800.0
+        )
+        frames.append(frame(tmp_path, f"v{k}.tif", seen, "board", 0.1))
+    session = labrig.import_session(write_manifest(tmp_path, frames), tmp_path / "s")
+    record = labrig.calibrate("geometry", session)
+    found = labrig.read_calibration(record)
+    # 150 mm over 400 px is 0.375; measured 0.3752
+    assert found.quantities["mm_per_px"].value == pytest.approx(0.375, rel=0.005)
+    pictures = []
+    x = np.arange(320)[None, :]
+    for k in range(6):
+        counts = 1000.0 + 500.0 * np.cos(2 * np.pi * (x / 16.0 - k / 6.0)) + np.zeros((240, 320))
+        pictures.append(frame(tmp_path, f"s{k}.tif", counts, "stripes", 0.1, shift=k, shifts=6))
+    pictures.append(frame(tmp_path, "w.tif", np.full((240, 320), 2000.0), "white", 0.1))
+    keys = {
+        "stripes": {"profile": "sinusoid"},
+        "geometry": {"region_px": [40, 30, 200, 150]},
+        "calibration": {"geometry": str(record)},
+    }
+    manifest = write_manifest(
+        tmp_path / "b", [{**p, "file": f"../{p['file']}"} for p in pictures], **keys
+    )
+    result = labrig.analyse(labrig.import_session(manifest, tmp_path / "s"), until="separation")
+    assert result.run["length_unit"] == "mm"
+    # 200 px of 0.375 mm; the region keeps its place and size
+    assert result.fields["x"].values[-1] == pytest.approx(75.0, rel=0.01)
+    single = result.fields["single"].values
+    # a stripe's amplitude of 500 DN in 0.1 s, twice; measured -1.9 %: the resampling's blur
+    assert np.nanmedian(single) == pytest.approx(1.0e4, rel=0.03)
