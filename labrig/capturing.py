@@ -68,6 +68,9 @@ def prepare_resume(path: Path, rig: OpenRig) -> Runner:
         If plan or devices are not those it was begun with; the message lists the differences.
     """
     session = Session.open(path)
+    if session.sealed and not session.missing:
+        msg = f"{path} is complete and sealed: there is nothing to resume."
+        raise SessionError(msg)
     plan = plan_of(session.header, path)
     expanded = expand(plan, rig.config)
     _refuse_other_plan(expanded, session)

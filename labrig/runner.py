@@ -250,9 +250,9 @@ class Runner:
         if cause in _REARM or (cause == Cause.DUPLICATE and counts[cause] == 2):
             self._recover(block, str(error))
             return False
-        if cause == Cause.WRONG_EXPOSURE:
+        if cause is Cause.WRONG_EXPOSURE:
             sequencer.forget_exposure()
-        return True
+        return cause is not Cause.WRONG_PATTERN
 
     def _recover(self, block: tuple[Shot, ...], why: str) -> None:
         """Close and open the devices again; pause where they do not come back."""
