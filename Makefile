@@ -24,8 +24,9 @@ contracts: install
 bench: install  ## everything that is fast or slow
 	@$(BIN)/python -m pytest tests/benchmarks --benchmark-enable -q -s
 
-torture: install  ## 500 captures killed at random moments, each resumed and compared
-	@LABRIG_KILLS=500 $(BIN)/python -m pytest tests/labrig/test_resume.py -k kills_at_random -q
+torture: install  ## 500 kills at random moments, 10 000 fuzzed files
+	@LABRIG_KILLS=500 LABRIG_FUZZ=2500 $(BIN)/python -m pytest -q -n auto \
+	    tests/labrig/test_resume.py tests/labrig/test_fuzz.py -k "kills_at_random or one_line"
 
 figures: install  ## the pictures of the README, from a run of the demo
 	@rm -rf build/figures && $(BIN)/labrig demo --out build/figures >/dev/null
