@@ -4,7 +4,7 @@ PYTHON ?= $(shell for p in python3.13 python3.12 python3.11 python3 /usr/bin/pyt
     >/dev/null 2>&1 && command -v $$p && break; done)
 BIN := .venv/bin
 
-.PHONY: demo test lint types contracts bench figures lock install clean
+.PHONY: demo test lint types contracts bench torture figures lock install clean
 
 demo: install  ## the main job on the simulated rig
 	@$(BIN)/labrig demo
@@ -23,6 +23,10 @@ contracts: install
 
 bench: install  ## everything that is fast or slow
 	@$(BIN)/python -m pytest tests/benchmarks --benchmark-enable -q -s
+
+torture: install  ## 500 kills at random moments, 10 000 fuzzed files
+	@LABRIG_KILLS=500 LABRIG_FUZZ=2500 $(BIN)/python -m pytest -q -n auto \
+	    tests/labrig/test_resume.py tests/labrig/test_fuzz.py -k "kills_at_random or one_line"
 
 figures: install  ## the pictures of the README, from a run of the demo
 	@rm -rf build/figures && $(BIN)/labrig demo --out build/figures >/dev/null

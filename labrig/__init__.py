@@ -21,12 +21,12 @@ from pathlib import Path
 from labrig import board as _board
 from labrig import calibration_run as _calibration_run
 from labrig import calibration_store as _calibration_store
+from labrig import capturing as _capturing
 from labrig import config as _config
 from labrig import importing as _importing
 from labrig import pipeline as _pipeline
 from labrig import results as _results
 from labrig import rig as _rig
-from labrig import runner as _runner
 from labrig import session as _session
 from labrig.config import config_folder
 from labrig.models.analysis import Analysis
@@ -68,6 +68,7 @@ __all__ = [
     "read_results",
     "report",
     "report_calibration",
+    "resume",
     "solve",
     "verify",
     "write_solution",
@@ -130,6 +131,7 @@ def open_rig(
 ) -> OpenRig:
     """Open the devices of a rig, ready for a plan; use it in a ``with`` block.
 
+    A rig given as a file brings the latency record that lies beside it.
     ``progress(done, all)`` follows the Monte Carlo that makes a new scene's light.
 
     Raises
@@ -137,9 +139,10 @@ def open_rig(
     labrig.errors.LabrigError, drivers.errors.DriverError
         If rig, scene and plan do not fit one another.
     """
+    latency = None if isinstance(rig, Rig) else _config.latency_beside(Path(rig))
     rig = rig if isinstance(rig, Rig) else load_rig(rig)
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
-    return _rig.open_rig(rig, scene, plan, progress=progress)
+    return _rig.open_rig(rig, scene, plan, latency=latency, progress=progress)
 
 
 def capture(plan: Plan, rig: OpenRig, out: StrPath, *, progress: Counted | None = None) -> Path:
@@ -150,7 +153,23 @@ def capture(plan: Plan, rig: OpenRig, out: StrPath, *, progress: Counted | None 
     labrig.errors.LabrigError, drivers.errors.DriverError
         The session then stays unsealed and keeps every frame taken.
     """
-    return _runner.capture(plan, rig, Path(out), progress=progress)
+    return _capturing.capture(plan, rig, Path(out), progress=progress)
+
+
+def resume(session: StrPath, *, progress: Counted | None = None) -> Path:
+    """Take the shots that an interrupted session of a simulated rig lacks; return its folder.
+
+    Raises
+    ------
+    labrig.errors.LabrigError, drivers.errors.DriverError
+        If the session cannot be trusted, is complete, or the rig is another one.
+    """
+    path = Path(session)
+    header = _session.Session.open(path).header
+    rig, scene, latency = _capturing.rig_of(header, path)
+    plan = _capturing.plan_of(header, path)
+    with _rig.open_rig(rig, scene, plan, latency=latency) as opened:
+        return _capturing.resume(path, opened, progress=progress)
 
 
 def import_session(manifest: StrPath, out: StrPath, *, progress: Counted | None = None) -> Path:

@@ -82,6 +82,7 @@ def linearise(
             f"are missing ({session.missing[0]} first); capture it anew."
         )
         raise AnalysisRefusedError(msg)
+    _refuse_mixed_segments(session)
     known = known or Corrections(camera=setup.camera.record())
     camera = known.camera
     by_picture: dict[str, list[Shot]] = defaultdict(list)
@@ -109,6 +110,21 @@ def linearise(
         for name, shots in by_picture.items()
         if shots[0].role in LIGHT
     }
+
+
+def _refuse_mixed_segments(session: Session) -> None:
+    """Light may differ between segments; the shifts of one group must have the same."""
+    segments: dict[str, set[object]] = defaultdict(set)
+    for shot in session.shots:
+        group = str(shot.get("group", shot["id"]))
+        segments[group].add(session.frames[shot["id"]].details.get("segment"))
+    mixed = sorted(group for group, found in segments.items() if len(found) > 1)
+    if mixed:
+        msg = (
+            f"session {session.path.name}: group {mixed[0]} was taken in several segments, between "
+            "which the light may differ; capture it anew."
+        )
+        raise AnalysisRefusedError(msg)
 
 
 def _without_hot(radiance: Radiance, known: Corrections) -> Radiance:

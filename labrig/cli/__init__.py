@@ -11,8 +11,10 @@ from calibration.errors import CalibrationError
 from drivers.errors import DriverError
 from labrig.cli.analyse import analyse, report
 from labrig.cli.calibrate import app as calibrate
-from labrig.cli.capture import capture, import_, verify
+from labrig.cli.capture import capture, import_, ls, resume, verify
+from labrig.cli.check import check
 from labrig.cli.demo import demo
+from labrig.cli.doctor import doctor
 from labrig.cli.exits import EXIT_BAD_INPUT, EXIT_DAMAGED, EXIT_DEVICE, EXIT_INTERRUPTED
 from labrig.cli.schema import schema
 from labrig.cli.solve import solve
@@ -25,10 +27,22 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-for command in (demo, capture, verify, analyse, report, solve, schema):
+for command in (
+    demo,
+    check,
+    capture,
+    resume,
+    verify,
+    ls,
+    analyse,
+    report,
+    solve,
+    doctor,
+    schema,
+):
     app.command()(command)
 app.command(name="import")(import_)
-app.add_typer(calibrate, name="calibrate")  # further kinds: calibrate.command(...)(...)
+app.add_typer(calibrate, name="calibrate")
 
 
 def main() -> None:

@@ -10,6 +10,7 @@ import typer
 from rich.table import Table
 
 import labrig
+from labrig.cli.calibrate_latency import latency
 from labrig.cli.say import AsJson, Out, out_console, say, say_json
 
 SessionFolder = Annotated[Path, typer.Argument(help="Session folder.")]
@@ -51,6 +52,7 @@ def _of_session(kind: str, what: str) -> Callable[..., None]:
     return command
 
 
+app.command()(latency)
 for _kind, _what in {
     "dark": "Find offset, dark current and hot pixels from dark frames.",
     "photon-transfer": "Find gain, noise and linearity from pairs of flat and dark frames.",

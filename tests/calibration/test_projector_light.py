@@ -1,15 +1,14 @@
-"""Grey levels, black's leak, latency, and what makes a record valid."""
+"""Grey levels, black's leak, and what makes a record valid."""
 
 import dataclasses
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 
 import numpy as np
 import pytest
 
 from calibration.errors import CalibrationError
-from calibration.latency import FlipFrame, fit_latency
 from calibration.projector import black_leak, fit_gamma, stripe_light
-from calibration.record import Conditions, Record, validity
+from calibration.record import Record, validity
 
 
 def test_gamma_and_its_inverse():
@@ -57,57 +56,6 @@ def test_measured_transfer_stands_for_blur_and_pixel():
     )
     # measured worst 1e-16
     np.testing.assert_allclose(by_transfer, blurred, atol=1e-12)
-
-
-def flips(n=200, latency_s=0.031, settle_s=0.01, seed=3):
-    """Frames of 8 ms about flips at random phase; light rises exponentially to its end."""
-    rng = np.random.default_rng(seed)
-    fine = (np.arange(400) + 0.5) / 400
-    frames = []
-    for k in range(n):
-        change = latency_s + rng.uniform(0.0, 1 / 60)
-        for start in (rng.uniform(0.02, 0.05), rng.uniform(0.06, 0.12)):
-            t = start + 0.008 * fine - change
-            share = np.where(t > 0, 1.0 - np.exp(-t * 5.3 / settle_s), 0.0).mean()
-            rising = bool(k % 2)
-            level = share if rising else 1.0 - share
-            frames.append(
-                FlipFrame(
-                    requested_s=100.0 + k,
-                    start_s=100.0 + k + start,
-                    end_s=100.008 + k + start,
-                    brightness=20.0 + 180.0 * level + rng.normal(0.0, 0.05),
-                    rising=rising,
-                )
-            )
-    return frames
-
-
-def test_latency_and_settle_time_of_flips_at_random_phase():
-    found = fit_latency(flips(), black=20.0, white=200.0)
-    # light rises over some ms, so that its mean change is 1.9 ms late: measured 40.6 ms where the
-    # middle of latency and refresh is 39.3 ms
-    assert found.latency_s == pytest.approx(0.031 + 1 / 120 + 0.0019, abs=0.002)
-    assert 0.030 < found.earliest_s < found.latest_s < 0.031 + 1 / 60 + 0.006
-    # measured 4.6 ms, of uniform 1/60 s
-    assert found.jitter_s == pytest.approx(1 / 60 / np.sqrt(12), rel=0.2)
-    # measured 9.1 ms, where light comes within 0.5 percent after 10 ms
-    assert found.settle_s == pytest.approx(0.01, abs=0.003)
-
-
-def test_flips_that_cannot_be_are_refused():
-    early = [dataclasses.replace(f, requested_s=f.requested_s + 1.0) for f in flips()]
-    for frames, levels, said in (
-        (flips(4), (20.0, 200.0), "20 are needed"),
-        (flips(), (200.0, 20.0), "no brighter"),
-        (early, (20.0, 200.0), "before it was asked"),
-    ):
-        with pytest.raises(CalibrationError, match=said):
-            fit_latency(frames, black=levels[0], white=levels[1])
-
-
-NOW = datetime(2026, 11, 22, 12, 0, tzinfo=UTC)
-HERE = Conditions(camera="A 1", lens="16 mm", gain="0 dB", mode="Mono12", bits=12, roi=(480, 640))
 
 
 def record(kind, **changes):
