@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from analysis.attenuation import Attenuation
 from analysis.light_field import BounceField
 from analysis.profile import DepthProfile
-from analysis.separation import closure, harmonic_ratio, stripe_residue
+from analysis.separation_quality import closure, harmonic_ratio, stripe_residue
 from labrig.corrections import Corrections
 from labrig.linearise import Pictures
 from labrig.models.analysis import Analysis

@@ -6,14 +6,12 @@ import pytest
 from analysis.errors import AnalysisError
 from analysis.separation import (
     as_if_white,
-    closure,
-    harmonic_ratio,
     separate_extrema,
     separate_harmonic,
     separate_known,
     square_contrast,
-    stripe_residue,
 )
+from analysis.separation_quality import closure, harmonic_ratio, stripe_residue
 from calibration.projector import stripe_light
 
 N = 6

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from analysis.separation import closure, separate_extrema, separate_known
+from analysis.separation import separate_extrema, separate_known
+from analysis.separation_quality import closure
 from calibration.contrast import fit_contrast, fit_transfer, measure_transfer
 from calibration.errors import CalibrationError
 from calibration.grey_code import decode_grey
