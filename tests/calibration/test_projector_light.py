@@ -58,6 +58,10 @@ def test_measured_transfer_stands_for_blur_and_pixel():
     np.testing.assert_allclose(by_transfer, blurred, atol=1e-12)
 
 
+NOW = datetime(2026, 11, 22, 12, 0, tzinfo=UTC)
+HERE = Conditions(camera="A 1", lens="16 mm", gain="0 dB", mode="Mono12", bits=12, roi=(480, 640))
+
+
 def record(kind, **changes):
     return Record(
         kind=kind,
