@@ -135,7 +135,8 @@ def test_any_call_that_fails_pauses_and_the_session_completes(code, tmp_path: Pa
             # the disk failed while the session was being sealed
             assert session.missing == ()
             finish, session = resume(session.path)
-        elif code != SHORT:
+        elif code != SHORT and (".tif" in shim.failed or "frames" in shim.failed):
+            # a full journal at its last line is what the reserve is for, and pauses nothing
             pauses = [e["reason"] for e in session.events if e["event"] == "pause"]
             assert any(os.strerror(code) in reason for reason in pauses), shim.failed
         assert finish.status.state is State.COMPLETED, (shim.failed, finish.status.reason)
