@@ -1,0 +1,77 @@
+"""An X server of the test's own, with two named outputs and a frame buffer to look into."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import struct
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+from emulated.needs import need
+from numpy.typing import NDArray
+
+DESKTOP = (0xC0, 0x80, 0x40)
+
+
+class XServer:
+    """Xvfb with a desktop of two outputs side by side, ``LEFT`` and ``PROJ``, on a bright ground."""
+
+    def __init__(
+        self, folder: Path, *, left: tuple[int, int] = (320, 240), right: tuple[int, int]
+    ) -> None:
+        need("Xvfb", "xrandr", "xsetroot", package="xvfb x11-xserver-utils")
+        self.left, self.right = left, right
+        width, height = left[0] + right[0], max(left[1], right[1])
+        read, write = os.pipe()
+        self._process = subprocess.Popen(
+            ["Xvfb", "-displayfd", str(write), "-screen", "0", f"{width}x{height}x24"]
+            # Without -noreset the outputs are forgotten when the last client leaves.
+            + ["-noreset", "-nolisten", "tcp", "-fbdir", str(folder)],
+            pass_fds=[write],
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(write)
+        with os.fdopen(read) as answer:
+            self.display = f":{answer.readline().strip()}"
+        self._file = (folder / "Xvfb_screen0").open("rb")
+        self._frame = mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ)
+        self._xrandr("LEFT", *left, 0, "screen")
+        self._xrandr("PROJ", *right, left[0], "none")
+        colour = "#%02x%02x%02x" % DESKTOP
+        self.run("xsetroot", "-solid", colour)
+
+    def run(self, *command: str) -> None:
+        """Run an X program on this display."""
+        subprocess.run(command, check=True, env={**os.environ, "DISPLAY": self.display})
+
+    def grab(self, output: str = "PROJ") -> NDArray[np.uint8]:
+        """Return what an output shows, (rows, cols, 3) red, green, blue."""
+        fields = struct.unpack_from(">25I", self._frame)
+        rows, stride, offset = fields[5], fields[12], fields[0] + 12 * fields[19]
+        whole = np.frombuffer(self._frame, np.uint8, rows * stride, offset).reshape(rows, -1, 4)
+        width, height = self.right if output == "PROJ" else self.left
+        x = self.left[0] if output == "PROJ" else 0
+        return whole[:height, x : x + width, 2::-1].copy()
+
+    def await_black(self, within_s: float) -> bool:
+        """Return whether PROJ goes black within a time."""
+        end = time.monotonic() + within_s
+        while time.monotonic() < end:
+            if not self.grab().any():
+                return True
+            time.sleep(0.01)
+        return False
+
+    def stop(self) -> None:
+        """End the server."""
+        self._process.terminate()
+        self._process.wait(timeout=10)
+        self._frame.close()
+        self._file.close()
+
+    def _xrandr(self, name: str, width: int, height: int, x: int, output: str) -> None:
+        geometry = f"{width}/{width // 4}x{height}/{height // 4}+{x}+0"
+        self.run("xrandr", "--setmonitor", name, geometry, output)
