@@ -14,6 +14,7 @@ from drivers.errors import DriverError
 from drivers.projector.protocol import Projector, ProjectorCapabilities
 from drivers.projector.simulated import SimulatedProjector
 from drivers.simulation.world import World
+from drivers.waiting import Clock
 from labrig.models.plan import Plan
 from labrig.models.rig import Rig
 from labrig.models.scene import Scene
@@ -39,9 +40,10 @@ class OpenRig:
         """Return the devices' monotonic time, s."""
         return self._world.clock.now_s()
 
-    def wait_until(self, instant_s: float) -> None:
-        """Let time pass until an instant of ``now_s``."""
-        self._world.clock.sleep(instant_s - self.now_s())
+    @property
+    def clock(self) -> Clock:
+        """The one clock of all devices."""
+        return self._world.clock
 
     def cover(self, *, covered: bool) -> None:
         """Put the cap on the lens, or take it off: on a real rig this asks the operator."""
@@ -117,7 +119,12 @@ def open_rig(
             rows=rig.projector.rows,
             cols=rig.projector.cols,
             refresh_hz=rig.projector.refresh_hz,
+            latency_s=(
+                rig.projector.latency_s,
+                rig.projector.latency_s + 1.0 / rig.projector.refresh_hz,
+            ),
             settle_s=rig.projector.settle_s,
+            lamp_control=True,
         ),
         world,
         latency_s=rig.projector.latency_s,

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from drivers.camera.protocol import CameraSettings
+from drivers.projector.protocol import PatternHandle
+from drivers.waiting import CancelToken
 from labrig.errors import PlanError, RunError
 from labrig.models.plan import Plan, Shot
 from labrig.models.setup import Setup, StripesConfig
@@ -49,9 +52,13 @@ def capture(
         "calibration": {},
         "shots": [shot.model_dump() for shot in expanded.shots],
     }
+    handles = dict(
+        zip(expanded.images, rig.projector.load([*expanded.images.values()]), strict=True)
+    )
+    rig.camera.arm("software")
     with SessionWriter.create(out, plan.name, header, patterns=expanded.images) as session:
         for number, shot in enumerate(expanded.shots, start=1):
-            pixels, details = attempt(shot, expanded, rig)
+            pixels, details = attempt(shot, handles, rig)
             session.commit(shot.id, 1, pixels, details)
             if progress is not None:
                 progress(number, len(expanded.shots))
@@ -60,7 +67,7 @@ def capture(
 
 
 def attempt(
-    shot: Shot, expanded: CapturePlan, rig: OpenRig
+    shot: Shot, handles: Mapping[str, PatternHandle], rig: OpenRig
 ) -> tuple[np.ndarray[Any, np.dtype[np.uint16]], dict[str, Any]]:
     """Show, settle, configure, flush, fire, collect and check one shot.
 
@@ -72,24 +79,28 @@ def attempt(
     RunError
         If the frame is early or its exposure is not the one asked for.
     """
-    image = None if shot.pattern is None else expanded.images[shot.pattern]
-    receipt = rig.projector.show(image)
+    never = CancelToken()
+    soon_s = rig.now_s() + 1.0
+    if shot.pattern is None:
+        receipt = rig.projector.lamp_off(deadline_s=soon_s, cancel=never)
+    else:
+        receipt = rig.projector.show(handles[shot.pattern], deadline_s=soon_s, cancel=never)
     rig.cover(covered=shot.shutter == "covered")
     settled_s = receipt.latest_s + rig.projector_can.settle_s
-    rig.wait_until(settled_s)
-    applied_s = rig.camera.apply(exposure_s=shot.exposure_s)
-    discarded = rig.camera.flush()
-    fired_s = rig.camera.trigger()
+    rig.clock.wait_until(settled_s, never)
+    applied_s = rig.camera.apply(CameraSettings(exposure_s=shot.exposure_s)).exposure_s
+    discarded = rig.camera.flush().discarded
+    fired = rig.camera.trigger(deadline_s=soon_s, cancel=never)
     frame = rig.camera.collect(
-        deadline_s=fired_s + shot.exposure_s + rig.camera_can.readout_s + 1.0
+        deadline_s=fired.latest_s + shot.exposure_s + rig.camera_can.readout_s + 1.0, cancel=never
     )
-    if frame.t_start_s - frame.uncertainty_s < settled_s:
+    if frame.t_start_s is None or frame.t_start_s - frame.uncertainty_s < settled_s:
         msg = (
-            f"shot {shot.id}: the frame began at {frame.t_start_s:.4f} s, before the pattern had "
+            f"shot {shot.id}: the frame began at {frame.t_start_s} s, before the pattern had "
             f"settled at {settled_s:.4f} s; recalibrate the projector's latency."
         )
         raise RunError(msg)
-    if abs(frame.exposure_s - shot.exposure_s) > 1e-3 * shot.exposure_s:
+    if frame.exposure_s is None or abs(frame.exposure_s - shot.exposure_s) > 1e-3 * shot.exposure_s:
         msg = (
             f"shot {shot.id}: the frame was exposed {frame.exposure_s} s instead of "
             f"{shot.exposure_s} s; choose an exposure the camera has."

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+from drivers.camera.protocol import CameraSettings, Flushed
 from drivers.camera.simulated import Sensor, SimulatedCamera
 from drivers.errors import NoFrameError, NotOpenError, SettingRefusedError
 from drivers.projector.protocol import ProjectorCapabilities
 from drivers.projector.simulated import SimulatedProjector
 from drivers.simulation.world import World
+from drivers.waiting import CancelToken
 
 SENSOR = Sensor(
     rows=120,
@@ -19,7 +21,15 @@ SENSOR = Sensor(
     read_noise_e=10.9,
     readout_s=0.02,
 )
-CAN = ProjectorCapabilities(rows=4, cols=6, refresh_hz=60.0, settle_s=0.02)
+CAN = ProjectorCapabilities(
+    rows=4,
+    cols=6,
+    refresh_hz=60.0,
+    latency_s=(0.03, 0.03 + 1 / 60),
+    settle_s=0.02,
+    lamp_control=True,
+)
+NEVER = CancelToken()
 WHITE, BLACK = np.full((4, 6), 255, np.uint8), np.zeros((4, 6), np.uint8)
 
 
@@ -35,6 +45,7 @@ def rig():
     camera = SimulatedCamera(SENSOR, world, seed=5)
     projector = SimulatedProjector(CAN, world, latency_s=0.03)
     camera.open()
+    camera.arm("software")
     projector.open()
     yield world, camera, projector
     projector.close()
@@ -42,14 +53,20 @@ def rig():
 
 
 def take(camera, exposure_s):
-    camera.apply(exposure_s=exposure_s)
-    camera.trigger()
-    return camera.collect(deadline_s=1e9)
+    camera.apply(CameraSettings(exposure_s=exposure_s))
+    camera.trigger(deadline_s=1e9, cancel=NEVER)
+    return camera.collect(deadline_s=1e9, cancel=NEVER)
+
+
+def show(projector, image):
+    """Load an image, show it, and return the receipt."""
+    (handle,) = projector.load([image])
+    return projector.show(handle, deadline_s=1e9, cancel=NEVER)
 
 
 def test_photon_transfer_of_the_sensor_is_its_gain_and_read_noise(rig):
     world, camera, projector = rig
-    world.clock.sleep(projector.show(WHITE).latest_s)
+    world.clock.sleep(show(projector, WHITE).latest_s)
     pair = [take(camera, 0.5).pixels.astype(float) for _ in range(2)]
     variance = 0.5 * np.var(pair[0] - pair[1])
     gain = (variance - (0.28 * 10.9) ** 2 - 1 / 12) / (pair[0].mean() - 16.0)
@@ -64,10 +81,10 @@ def test_photon_transfer_of_the_sensor_is_its_gain_and_read_noise(rig):
 
 def test_a_frame_taken_too_early_mixes_both_patterns(rig):
     world, camera, projector = rig
-    receipt = projector.show(WHITE)
+    receipt = show(projector, WHITE)
     world.clock.sleep(1.0)
     now = world.clock.now_s()
-    receipt = projector.show(BLACK)
+    receipt = show(projector, BLACK)
     assert now + 0.03 == receipt.earliest_s
     early = take(camera, 0.1).pixels.mean() - 16.0
     settled = take(camera, 0.1).pixels.mean() - 16.0
@@ -78,7 +95,7 @@ def test_a_frame_taken_too_early_mixes_both_patterns(rig):
 
 def test_counts_are_clipped_at_the_white_level_and_frames_are_read_only(rig):
     world, camera, projector = rig
-    world.clock.sleep(projector.show(WHITE).latest_s)
+    world.clock.sleep(show(projector, WHITE).latest_s)
     frame = take(camera, 10.0)
     assert (frame.pixels == 4095).all()
     with pytest.raises(ValueError, match="read-only"):
@@ -91,6 +108,7 @@ def test_the_same_seed_gives_the_same_noise():
         world = World(light=light)
         camera = SimulatedCamera(SENSOR, world, seed=9)
         camera.open()
+        camera.arm("software")
         world.project(WHITE, at_s=0.0)
         pictures.append(take(camera, 0.1).pixels)
     np.testing.assert_array_equal(*pictures)
@@ -99,22 +117,23 @@ def test_the_same_seed_gives_the_same_noise():
 def test_devices_refuse_what_they_cannot_do(rig):
     world, camera, projector = rig
     with pytest.raises(SettingRefusedError, match="outside"):
-        camera.apply(exposure_s=100.0)
+        camera.apply(CameraSettings(exposure_s=100.0))
     with pytest.raises(SettingRefusedError, match="never scaled"):
-        projector.show(np.zeros((5, 5), np.uint8))
+        projector.load([np.zeros((5, 5), np.uint8)])
     with pytest.raises(NoFrameError, match="triggered"):
-        camera.collect(deadline_s=world.clock.now_s() + 1.0)
-    camera.apply(exposure_s=0.1)
-    camera.trigger()
-    assert camera.flush() == 1
+        camera.collect(deadline_s=world.clock.now_s() + 1.0, cancel=NEVER)
+    camera.apply(CameraSettings(exposure_s=0.1))
+    camera.trigger(deadline_s=1e9, cancel=NEVER)
+    world.clock.sleep(1.0)
+    assert camera.flush() == Flushed(discarded=1, last_sequence=1)
     camera.close()
     camera.close()
     with pytest.raises(NotOpenError):
-        camera.trigger()
+        camera.trigger(deadline_s=1e9, cancel=NEVER)
 
 
 def test_closing_the_projector_leaves_it_dark(rig):
     world, _, projector = rig
-    world.clock.sleep(projector.show(WHITE).latest_s)
+    world.clock.sleep(show(projector, WHITE).latest_s)
     projector.close()
-    assert world.expose(world.clock.now_s(), world.clock.now_s() + 1.0).max() == 0.0
+    assert world.expose(world.clock.now_s(), 1.0).max() == 0.0
