@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import hashlib
 import os
-import sys
 import time
 import tkinter as tk
 from collections.abc import Callable
 from typing import Any
 
 from drivers.transport.messages import MessageReader, write_message
+from drivers.transport.x_display import keep_screen_saver_off
 
 GUARD_MS = 500
 
@@ -32,7 +32,9 @@ class Window:
         self._top.geometry(f"{width}x{height}+{x}+{y}")
         self._label = tk.Label(self._top, bd=0, highlightthickness=0, padx=0, pady=0, bg="black")
         self._label.place(x=0, y=0, width=width, height=height)
-        self._black = tk.PhotoImage(master=self._root, data=pgm(width, height, bytes(width * height)))
+        self._black = tk.PhotoImage(
+            master=self._root, data=pgm(width, height, bytes(width * height))
+        )
         self._images: list[tk.PhotoImage] = []
         self._obscured = False
         self._label.bind("<Visibility>", self._on_visibility)
@@ -106,6 +108,7 @@ def main() -> None:
     first = reader.read()
     if first is None:
         return
+    keep_screen_saver_off(os.environ["DISPLAY"])
     geometry = first[0]
     window = Window(*(geometry[key] for key in ("x", "y", "width", "height")))
     write_message(answers, {"tag": geometry["tag"], **window.describe()})
@@ -132,4 +135,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -1,4 +1,4 @@
-"""A projector as a second screen: its patterns are shown by a process of their own on one output."""
+"""A projector as a second screen: a process of its own shows the patterns on one output."""
 
 from __future__ import annotations
 
@@ -27,7 +27,6 @@ from drivers.projector.protocol import Image, PatternHandle, ProjectorCapabiliti
 from drivers.projector.window_process import WindowProcess
 from drivers.transport.x_display import (
     Output,
-    ScreenSaverOff,
     draw_curtain,
     has_compositor,
     lift_curtain,
@@ -74,7 +73,6 @@ class ScreenProjector:
         self._display = settings.display or os.environ.get("DISPLAY", "")
         self._output: Output | None = None
         self._window: WindowProcess | None = None
-        self._saver: ScreenSaverOff | None = None
         self._lock: IO[str] | None = None
         self._handles: tuple[PatternHandle, ...] = ()
         self._current: PatternHandle | None = None
@@ -96,7 +94,6 @@ class ScreenProjector:
         refresh_hz = self._refuse_unfit(output)
         self._lock = _lock(self._display, output.name)
         try:
-            self._saver = ScreenSaverOff(self._display)
             draw_curtain(self._display, output)
             self._window = WindowProcess(self._display, output)
             found = self._window.start()
@@ -121,9 +118,6 @@ class ScreenProjector:
         window, self._window = self._window, None
         if window is not None:
             window.stop()
-        if self._saver is not None:
-            self._saver.release()
-            self._saver = None
         if self._lock is not None:
             if not self._settings.black_after:
                 with suppress(DriverError):
@@ -182,7 +176,9 @@ class ScreenProjector:
         """
         self._opened()
         if handle not in self._handles:
-            msg = f"image {handle.index} of digest {handle.digest[:8]} is not loaded; load it first."
+            msg = (
+                f"image {handle.index} of digest {handle.digest[:8]} is not loaded; load it first."
+            )
             raise SettingRefusedError(msg)
         return self._show(handle, deadline_s, cancel)
 
@@ -190,7 +186,7 @@ class ScreenProjector:
         """Show level 0 everywhere; its leak remains. Raises as `show`."""
         return self._show(None, deadline_s, cancel)
 
-    def lamp_off(self, *, deadline_s: float, cancel: CancelToken) -> ShowReceipt:
+    def lamp_off(self, *, deadline_s: float, cancel: CancelToken) -> ShowReceipt:  # noqa: ARG002
         """Refuse: no X server can switch a lamp.
 
         Raises
@@ -250,11 +246,15 @@ class ScreenProjector:
         refresh_hz = s.refresh_hz if output.refresh_hz is None else output.refresh_hz
         reason = ""
         if (output.height, output.width) != (s.rows, s.cols):
-            reason = f"is {output.width}x{output.height}, {s.cols}x{s.rows} was wanted: set its mode"
+            reason = (
+                f"is {output.width}x{output.height}, {s.cols}x{s.rows} was wanted: set its mode"
+            )
         elif output.scaled:
             reason = "is scaled by the X server: xrandr --output NAME --scale 1x1"
         elif os.environ.get("XDG_SESSION_TYPE") == "wayland" and not s.display:
-            reason = "is drawn by a Wayland compositor, which may scale it: log in to an Xorg session"
+            reason = (
+                "is drawn by a Wayland compositor, which may scale it: log in to an Xorg session"
+            )
         elif not s.allow_compositor and has_compositor(self._display):
             reason = "is redrawn by a compositor: stop it, or set allow_compositor in the rig file"
         elif refresh_hz is None:

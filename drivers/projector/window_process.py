@@ -68,11 +68,9 @@ class WindowProcess:
             self._write({"order": order, "tag": self._tag, **words}, payload, deadline_s)
             while True:
                 self._reader.await_bytes(deadline_s=deadline_s, cancel=cancel)
-                received = self._reader.read()
-                if received is None:
-                    raise DeviceLostError
-                if received[0]["tag"] == self._tag:
-                    return received[0]
+                answer = self._reader.next()
+                if answer["tag"] == self._tag:
+                    return answer
         except CancelledError:
             raise
         except DeadlineError as error:

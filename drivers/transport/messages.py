@@ -31,9 +31,12 @@ def write_message(
     for piece in (head, payload):
         view = memoryview(piece)
         while view:
-            if deadline_s is not None and not select.select(
-                [], [descriptor], [], max(deadline_s - time.monotonic(), 0.0)
-            )[1]:
+            if (
+                deadline_s is not None
+                and not select.select(
+                    [], [descriptor], [], max(deadline_s - time.monotonic(), 0.0)
+                )[1]
+            ):
                 msg = "the other process took no bytes before the deadline."
                 raise DeadlineError(msg)
             with suppress(BlockingIOError):
@@ -61,6 +64,14 @@ class MessageReader:
         payload = bytes(self._received[:length])
         del self._received[:length]
         return message, payload
+
+    def next(self) -> dict[str, Any]:
+        """Return the next message, which has no bytes; raise `DeviceLostError` at the end."""
+        received = self.read()
+        if received is None:
+            msg = "the other process has ended."
+            raise DeviceLostError(msg)
+        return received[0]
 
     def pending(self) -> bool:
         """Return whether bytes were received that `read` has not returned."""

@@ -174,7 +174,9 @@ class SerialLine:
         number = _number(error)
         if number in _NOT_THERE:
             there = ", ".join(port.path for port in serial_ports()) or "none"
-            msg = f"{self.name} does not exist; plug the box in, or name one that is there: {there}."
+            msg = (
+                f"{self.name} does not exist; plug the box in, or name one that is there: {there}."
+            )
             return DeviceNotFoundError(msg)
         if number in _DENIED:
             msg = f"{self.name} may not be opened by this user; run: labrig doctor --fix-udev"

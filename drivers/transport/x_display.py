@@ -17,6 +17,7 @@ from drivers.errors import DeviceNotFoundError
 
 CURTAIN = "_LABRIG_CURTAIN_"
 _OVERRIDE_REDIRECT = 1 << 9
+_CURSOR = 1 << 14
 _RETAIN_PERMANENT = 1
 _XA_WINDOW = 33
 
@@ -158,6 +159,14 @@ def _x11() -> ct.CDLL:
             ct.c_int,
             [display, window, ct.c_ulong, ct.POINTER(_WindowAttributes)],
         ),
+        "XCreateBitmapFromData": (
+            ct.c_ulong,
+            [display, window, ct.c_char_p, ct.c_uint, ct.c_uint],
+        ),
+        "XCreatePixmapCursor": (
+            ct.c_ulong,
+            [display, *[ct.c_ulong] * 2, *[ct.c_void_p] * 2, ct.c_uint, ct.c_uint],
+        ),
         "XMapRaised": (ct.c_int, [display, window]),
         "XSetCloseDownMode": (ct.c_int, [display, ct.c_int]),
         "XKillClient": (ct.c_int, [display, window]),
@@ -263,24 +272,19 @@ def has_compositor(display: str) -> bool:
         return bool(_x11().XGetSelectionOwner(handle, atom))
 
 
-class ScreenSaverOff:
-    """No screen saver and no power saving while this is held; the server ends it if we die."""
+def keep_screen_saver_off(display: str) -> None:
+    """Keep screen saver and power saving away for as long as this process lives.
 
-    def __init__(self, display: str) -> None:
-        saver = _library("libXss.so.1", "libxss1")
-        saver.XScreenSaverSuspend.argtypes = [ct.c_void_p, ct.c_int]
-        self._handle = _x11().XOpenDisplay(display.encode())
-        if not self._handle:
-            msg = f"no X server answers at display {display!r}; set DISPLAY."
-            raise DeviceNotFoundError(msg)
-        saver.XScreenSaverSuspend(self._handle, 1)
-        _x11().XSync(self._handle, 0)
-
-    def release(self) -> None:
-        """Let the screen saver come again."""
-        if self._handle:
-            _x11().XCloseDisplay(self._handle)
-        self._handle = None
+    The server lets them come again when the connection that this opens goes with its process.
+    """
+    saver = _library("libXss.so.1", "libxss1")
+    saver.XScreenSaverSuspend.argtypes = [ct.c_void_p, ct.c_int]
+    handle = _x11().XOpenDisplay(display.encode())
+    if not handle:
+        msg = f"no X server answers at display {display!r}; set DISPLAY."
+        raise DeviceNotFoundError(msg)
+    saver.XScreenSaverSuspend(handle, 1)
+    _x11().XSync(handle, 0)
 
 
 def draw_curtain(display: str, output: Output) -> None:
@@ -297,8 +301,12 @@ def draw_curtain(display: str, output: Output) -> None:
         window = x11.XCreateSimpleWindow(
             handle, root, output.x, output.y, output.width, output.height, 0, black, black
         )
-        attributes = _WindowAttributes(override_redirect=1)
-        x11.XChangeWindowAttributes(handle, window, _OVERRIDE_REDIRECT, ct.byref(attributes))
+        # A pointer that rests on the output would be light on the sample.
+        empty, colour = x11.XCreateBitmapFromData(handle, root, b"\0", 1, 1), (ct.c_ubyte * 16)()
+        cursor = x11.XCreatePixmapCursor(handle, empty, empty, colour, colour, 0, 0)
+        attributes = _WindowAttributes(override_redirect=1, cursor=cursor)
+        mask = _OVERRIDE_REDIRECT | _CURSOR
+        x11.XChangeWindowAttributes(handle, window, mask, ct.byref(attributes))
         x11.XMapRaised(handle, window)
         atom = x11.XInternAtom(handle, (CURTAIN + output.name).encode(), 0)
         value = ct.c_ulong(window)

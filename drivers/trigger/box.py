@@ -207,8 +207,8 @@ class BoxTrigger:
                 if time.monotonic() < end_s:
                     continue
                 msg = (
-                    f"{self._channel.name} is there but no {PROTOCOL} answers; check that it is the "
-                    "box's port and that the firmware of drivers/trigger/firmware is on the box."
+                    f"{self._channel.name} is there but no {PROTOCOL} answers; check that it is "
+                    "the box's port and that the firmware of drivers/trigger/firmware is on the box."
                 )
                 raise DeviceNotFoundError(msg) from error
         if words[:2] != [PROTOCOL, str(VERSION)] or len(words) != 3:
@@ -328,8 +328,12 @@ def _refuse_out_of_range(settings: TriggerSettings) -> None:
         ("delay_s", settings.delay_s, CAPABILITIES.delay_range_s),
     ):
         if not low <= value <= high:
-            msg = f"trigger {name} is {value} s, the box has {low} .. {high} s; change the rig file."
+            msg = (
+                f"trigger {name} is {value} s, the box has {low} .. {high} s; change the rig file."
+            )
             raise SettingRefusedError(msg)
     if settings.source not in CAPABILITIES.sources:
-        msg = f"trigger source {settings.source!r} is unknown; choose one of {CAPABILITIES.sources}."
+        msg = (
+            f"trigger source {settings.source!r} is unknown; choose one of {CAPABILITIES.sources}."
+        )
         raise SettingRefusedError(msg)

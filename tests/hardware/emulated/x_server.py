@@ -10,14 +10,15 @@ import time
 from pathlib import Path
 
 import numpy as np
-from emulated.needs import need
 from numpy.typing import NDArray
+
+from emulated.needs import need
 
 DESKTOP = (0xC0, 0x80, 0x40)
 
 
 class XServer:
-    """Xvfb with a desktop of two outputs side by side, ``LEFT`` and ``PROJ``, on a bright ground."""
+    """Xvfb with a bright desktop of two outputs side by side, ``LEFT`` and ``PROJ``."""
 
     def __init__(
         self, folder: Path, *, left: tuple[int, int] = (320, 240), right: tuple[int, int]
@@ -27,9 +28,9 @@ class XServer:
         width, height = left[0] + right[0], max(left[1], right[1])
         read, write = os.pipe()
         self._process = subprocess.Popen(
-            ["Xvfb", "-displayfd", str(write), "-screen", "0", f"{width}x{height}x24"]
             # Without -noreset the outputs are forgotten when the last client leaves.
-            + ["-noreset", "-nolisten", "tcp", "-fbdir", str(folder)],
+            f"Xvfb -displayfd {write} -screen 0 {width}x{height}x24 -noreset -nolisten tcp"
+            f" -fbdir {folder}".split(),
             pass_fds=[write],
             stderr=subprocess.DEVNULL,
         )
@@ -40,7 +41,7 @@ class XServer:
         self._frame = mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ)
         self._xrandr("LEFT", *left, 0, "screen")
         self._xrandr("PROJ", *right, left[0], "none")
-        colour = "#%02x%02x%02x" % DESKTOP
+        colour = "#{:02x}{:02x}{:02x}".format(*DESKTOP)
         self.run("xsetroot", "-solid", colour)
 
     def run(self, *command: str) -> None:
@@ -55,6 +56,10 @@ class XServer:
         width, height = self.right if output == "PROJ" else self.left
         x = self.left[0] if output == "PROJ" else 0
         return whole[:height, x : x + width, 2::-1].copy()
+
+    def shows_desktop(self, output: str = "PROJ") -> bool:
+        """Return whether an output shows its bright desktop, but for the pointer's 16 x 16 px."""
+        return int((self.grab(output) != DESKTOP).any(axis=2).sum()) <= 256
 
     def await_black(self, within_s: float) -> bool:
         """Return whether PROJ goes black within a time."""
