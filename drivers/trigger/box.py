@@ -208,7 +208,7 @@ class BoxTrigger:
                     continue
                 msg = (
                     f"{self._channel.name} is there but no {PROTOCOL} answers; check that it is "
-                    "the box's port and that the firmware of drivers/trigger/firmware is on the box."
+                    "the box's port and that drivers/trigger/firmware is on the box."
                 )
                 raise DeviceNotFoundError(msg) from error
         if words[:2] != [PROTOCOL, str(VERSION)] or len(words) != 3:
