@@ -359,9 +359,7 @@ class V4l2Camera:
         info = controls.info(EXPOSURE_ABSOLUTE)
         low_s, high_s = info.minimum * EXPOSURE_UNIT_S, info.maximum * EXPOSURE_UNIT_S
         if not low_s <= exposure_s <= high_s * (1 + 1e-9):
-            msg = (
-                f"exposure {exposure_s} s is outside {low_s:.6g} .. {high_s:.6g}; change the plan."
-            )
+            msg = f"exposure {exposure_s} s is outside {low_s:g} .. {high_s:g} s; change the plan."
             raise SettingRefusedError(msg)
         controls.set(info.name, round(exposure_s / EXPOSURE_UNIT_S))
         self._exposure_s = self._read_exposure()

@@ -72,7 +72,6 @@ class PixelFormat(ct.Structure):
             *("colorspace", "priv", "flags", "ycbcr_enc", "quantization", "xfer_func"),
         )
     ]
-    ]
 
 
 class _FormatUnion(ct.Union):
