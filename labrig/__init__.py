@@ -18,12 +18,12 @@ from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 
+from labrig import capturing as _capturing
 from labrig import config as _config
 from labrig import importing as _importing
 from labrig import pipeline as _pipeline
 from labrig import results as _results
 from labrig import rig as _rig
-from labrig import runner as _runner
 from labrig import session as _session
 from labrig.config import config_folder
 from labrig.models.analysis import Analysis
@@ -129,7 +129,7 @@ def capture(plan: Plan, rig: OpenRig, out: StrPath, *, progress: Counted | None 
     labrig.errors.LabrigError, drivers.errors.DriverError
         The session then stays unsealed and keeps every frame taken.
     """
-    return _runner.capture(plan, rig, Path(out), progress=progress)
+    return _capturing.capture(plan, rig, Path(out), progress=progress)
 
 
 def import_session(manifest: StrPath, out: StrPath, *, progress: Counted | None = None) -> Path:

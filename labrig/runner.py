@@ -1,171 +1,500 @@
-"""Runs a plan on an open rig: one shot after the other, each kept before the next begins."""
+"""Runs a plan on an open rig: a state machine over all shots, in which nothing is lost.
+
+Commands may be posted and the status read from any thread; devices and callbacks are used by the
+thread that calls `Runner.run` alone.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import queue
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from drivers.camera.protocol import CameraSettings
-from drivers.projector.protocol import PatternHandle
-from drivers.waiting import CancelToken
-from labrig.errors import PlanError, RunError
-from labrig.models.plan import Plan, Shot
-from labrig.models.setup import Setup, StripesConfig
-from labrig.plan import CapturePlan, expand, stripes_of
+from drivers.errors import CancelledError, DriverError
+from drivers.waiting import SLICE_S, CancelToken
+from labrig.errors import LabrigError, RunError
+from labrig.finishing import finish_devices, finish_session, undisturbed
+from labrig.keeper import Keeper
+from labrig.models.plan import Shot
+from labrig.plan import CapturePlan, blocks_of
+from labrig.preflight import Verdict, refuse
+from labrig.references import References
 from labrig.rig import OpenRig
-from labrig.session import SessionWriter
+from labrig.run_state import ENDS, NEXT, TAKES, Command, Event, State, Status
+from labrig.sequence import AttemptError, Cause, Sequencer, Step
+from labrig.session_writer import Item, SessionWriter
+
+T = TypeVar("T")
+PATIENCE_S = 10.0  # the longest that finishing may wait for the disk
+MIN_FAILURES = 3  # a short run may have as many without being stopped by their share
+_REARM: frozenset[Cause] = frozenset({Cause.NOT_FIRED})
 
 
-def capture(
-    plan: Plan,
-    rig: OpenRig,
-    out: Path,
-    *,
-    progress: Callable[[int, int], None] | None = None,
-) -> Path:
-    """Take every shot of a plan and return the sealed session folder.
-
-    Parameters
-    ----------
-    out : data root; the session is made below it
-    progress : called with (shots kept, shots in all)
-
-    Raises
-    ------
-    PlanError, RunError, SessionError, DriverError
-        The session then stays unsealed: what was kept is readable, and nothing is lost.
-    """
-    expanded = expand(plan, rig.config)
-    refuse_impossible(expanded, rig)
-    header = {
-        "plan": plan.model_dump(mode="json", by_alias=True),
-        "plan_digest": expanded.digest,
-        "rig": rig.config.model_dump(mode="json", by_alias=True),
-        "scene": rig.scene.model_dump(mode="json", by_alias=True),
-        "setup": setup_of(plan, rig).model_dump(mode="json"),
-        "devices": rig.snapshot(),
-        "simulated": True,
-        "operator": None,
-        "calibration": {},
-        "shots": [shot.model_dump() for shot in expanded.shots],
-    }
-    handles = dict(
-        zip(expanded.images, rig.projector.load([*expanded.images.values()]), strict=True)
-    )
-    rig.camera.arm("software")
-    with SessionWriter.create(out, plan.name, header, patterns=expanded.images) as session:
-        for number, shot in enumerate(expanded.shots, start=1):
-            pixels, details = attempt(shot, handles, rig)
-            session.commit(shot.id, 1, pixels, details)
-            if progress is not None:
-                progress(number, len(expanded.shots))
-        session.close()
-    return session.path
+class _AbortedError(Exception):
+    """Raised inside a run that shall end; the text says why."""
 
 
-def attempt(
-    shot: Shot, handles: Mapping[str, PatternHandle], rig: OpenRig
-) -> tuple[np.ndarray[Any, np.dtype[np.uint16]], dict[str, Any]]:
-    """Show, settle, configure, flush, fire, collect and check one shot.
-
-    The pattern stays until the frame is accepted, so a frame can only be wrong by being early:
-    it is accepted if its exposure began after the light had surely changed and settled.
-
-    Raises
-    ------
-    RunError
-        If the frame is early or its exposure is not the one asked for.
-    """
-    never = CancelToken()
-    soon_s = rig.now_s() + 1.0
-    if shot.pattern is None:
-        receipt = rig.projector.lamp_off(deadline_s=soon_s, cancel=never)
-    else:
-        receipt = rig.projector.show(handles[shot.pattern], deadline_s=soon_s, cancel=never)
-    rig.cover(covered=shot.shutter == "covered")
-    settled_s = receipt.latest_s + rig.projector_can.settle_s
-    rig.clock.wait_until(settled_s, never)
-    applied_s = rig.camera.apply(CameraSettings(exposure_s=shot.exposure_s)).exposure_s
-    discarded = rig.camera.flush().discarded
-    fired = rig.camera.trigger(deadline_s=soon_s, cancel=never)
-    frame = rig.camera.collect(
-        deadline_s=fired.latest_s + shot.exposure_s + rig.camera_can.readout_s + 1.0, cancel=never
-    )
-    if frame.t_start_s is None or frame.t_start_s - frame.uncertainty_s < settled_s:
-        msg = (
-            f"shot {shot.id}: the frame began at {frame.t_start_s} s, before the pattern had "
-            f"settled at {settled_s:.4f} s; recalibrate the projector's latency."
-        )
-        raise RunError(msg)
-    if frame.exposure_s is None or abs(frame.exposure_s - shot.exposure_s) > 1e-3 * shot.exposure_s:
-        msg = (
-            f"shot {shot.id}: the frame was exposed {frame.exposure_s} s instead of "
-            f"{shot.exposure_s} s; choose an exposure the camera has."
-        )
-        raise RunError(msg)
-    details = {
-        "sequence": frame.sequence,
-        "t_start_s": frame.t_start_s,
-        "t_end_s": frame.t_end_s,
-        "light_earliest_s": receipt.earliest_s,
-        "light_latest_s": receipt.latest_s,
-        "exposure_asked_s": shot.exposure_s,
-        "exposure_applied_s": applied_s,
-        "exposure_reported_s": frame.exposure_s,
-        "discarded": discarded,
-        "proof": "triggered",
-        "floor_fraction": float(np.mean(frame.pixels == 0)),
-        "saturated_fraction": float(np.mean(frame.pixels >= rig.camera_can.white_level_dn)),
-    }
-    return frame.pixels, details
+class _GroupEndedError(Exception):
+    """Raised where a group is skipped or must be taken again from its start."""
 
 
-def setup_of(plan: Plan, rig: OpenRig) -> Setup:
-    """Return what the session must tell the analysis: how the rig saw and lit the tank."""
-    camera, stripes = rig.config.camera, stripes_of(plan)
-    return Setup.model_validate(
-        {
-            "camera": {
-                "bits": camera.bits,
-                "black_level_dn": camera.black_level_dn,
-                "white_level_dn": camera.white_level_dn,
-                "gain_dn_per_e": camera.gain_dn_per_e,
-                "read_noise_e": camera.read_noise_e,
-                "response": camera.response,
-            },
-            "geometry": rig.config.geometry.model_dump(),
-            "tank": rig.scene.tank.model_dump(),
-            "beam": rig.scene.beam.model_dump(),
-            "stripes": StripesConfig(
-                period_px=stripes.period_px, low=stripes.low / 255.0, high=stripes.high / 255.0
-            ).model_dump(),
-            "projection": rig.config.projection.model_dump(),
-        }
-    )
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finish:
+    """How a run ended; ``error`` is what made it fail or refuse."""
+
+    status: Status
+    error: BaseException | None
 
 
-def refuse_impossible(expanded: CapturePlan, rig: OpenRig) -> None:
-    """Refuse before the first shot what could not be taken.
+class Runner:
+    """One run of a plan. Make it, subscribe, and call `run`."""
 
-    Raises
-    ------
-    PlanError
-        If stripes run the wrong way or an exposure is outside the camera's range.
-    """
-    if stripes_of(expanded.plan).axis != "x":
-        msg = (
-            f"plan {expanded.plan.name!r} has stripes along axis y of the projector; this rig maps "
-            "x to the tank: set axis: x."
-        )
-        raise PlanError(msg)
-    low, high = rig.camera_can.exposure_range_s
-    for shot in expanded.shots:
-        if not low <= shot.exposure_s <= high:
-            msg = (
-                f"plan {expanded.plan.name!r} asks for {shot.exposure_s} s, the camera has "
-                f"{low} .. {high} s; change exposures.bracket_s."
+    def __init__(
+        self,
+        expanded: CapturePlan,
+        rig: OpenRig,
+        open_session: Callable[[], SessionWriter],
+        *,
+        verdicts: Callable[[], list[Verdict]] = list,
+        references: References | None = None,
+    ) -> None:
+        self._plan = expanded.plan
+        self._expanded = expanded
+        self._rig = rig
+        self._open_session = open_session
+        self._verdicts = verdicts
+        self._commands: queue.SimpleQueue[Command] = queue.SimpleQueue()
+        self._cancel = CancelToken()
+        self._after_group = False
+        self._pause_asked = False
+        self._subscribers: list[Callable[[Event], None]] = []
+        self.status = Status(total=len(expanded.shots))
+        self.problems: deque[str] = deque(maxlen=100)
+        self.latest: tuple[str, NDArray[np.uint16]] | None = None
+        self.references = references or References(self._plan, rig)
+        self._writer: SessionWriter | None = None
+        self._keeper: Keeper | None = None
+        self._sequencer: Sequencer | None = None
+        self._taken: set[str] = set()
+        self._skipped: set[str] = set()
+        self._last_taken_s: dict[str, float] = {}
+        self._attempts: Counter[str] = Counter()
+        self._losses = 0
+        self._owed: list[Item] = []
+
+    @property
+    def path(self) -> Path:
+        """The session's folder; it exists once the run is armed."""
+        return _need(self._writer).path
+
+    def subscribe(self, callback: Callable[[Event], None]) -> None:
+        """Let a callback hear every event, in the thread of the run."""
+        self._subscribers.append(callback)
+
+    def post(self, command: Command) -> None:
+        """Ask something of the run; may be called from any thread and in any state."""
+        if command is Command.ABORT and self.status.state in TAKES[Command.ABORT]:
+            # abort outranks all that is queued, and reaches into every wait
+            self._cancel.cancel("aborted by the operator")
+        self._commands.put(command)
+
+    def run(self) -> Finish:
+        """Run to the end, whatever happens; the rig is then dark and the session let go."""
+        error: BaseException | None = None
+        end, reason = State.COMPLETED, ""
+        try:
+            self._idle()
+            self._preflight()
+            self._arm()
+            self._take_all()
+        except (_AbortedError, CancelledError) as stop:
+            end, reason = State.ABORTED, str(stop)
+        except KeyboardInterrupt as stop:
+            end, reason, error = State.ABORTED, "interrupted", stop
+        except Exception as failure:
+            end, reason, error = State.FAILED, str(failure), failure
+        if self.status.state is State.PREFLIGHT and end is State.FAILED:
+            self._go(State.REFUSED, reason)
+            return Finish(status=self.status, error=error)
+        with undisturbed():
+            return Finish(status=self._finish(end, reason), error=error)
+
+    # Each of these is one state.
+
+    def _idle(self) -> None:
+        while True:
+            self._cancel.check()
+            try:
+                command = self._commands.get(timeout=SLICE_S)
+            except queue.Empty:
+                continue
+            if command is Command.START:
+                return
+            self._refuse_command(command)
+
+    def _preflight(self) -> None:
+        self._go(State.PREFLIGHT)
+        verdicts = self._verdicts()
+        for verdict in verdicts:
+            if not verdict.ok:
+                self._problem(verdict.text)
+        refuse(verdicts)
+        self._cancel.check()
+
+    def _arm(self) -> None:
+        self._go(State.ARMING)
+        self._writer = self._open_session()
+        self._taken = set(self._writer.progress.saved)
+        self._attempts.update(self._writer.progress.last_attempt)
+        self._keeper = Keeper(self._writer)
+        self._sequencer = self.references.sequencer(self._expanded, self._step)
+        self._set(saved=len(self._taken), eta_s=self._eta_s())
+        for text, details in self.references.warm_up(self._sequencer, self._cancel):
+            self._note(text, details)
+        self._go(State.RUNNING)
+
+    def _take_all(self) -> None:
+        blocks = blocks_of(self._expanded.shots)
+        self._refer()
+        while True:
+            left = [b for b in blocks if any(self._wanted(shot) for shot in b)]
+            if not left:
+                _need(self._keeper).drain(PATIENCE_S)
+                self._boundary(blocks[-1])
+                if not any(self._wanted(shot) for block in blocks for shot in block):
+                    return
+                continue
+            try:
+                self._take_block(left[0])
+            except _GroupEndedError:
+                continue
+            if self._after_group:
+                msg = "aborted by the operator after the group"
+                raise _AbortedError(msg)
+
+    def _take_block(self, block: tuple[Shot, ...]) -> None:
+        for shot in block:
+            while self._wanted(shot):
+                self._boundary(block)
+                self._repeat_if_torn(block)
+                self._take(shot, block)
+
+    def _take(self, shot: Shot, block: tuple[Shot, ...]) -> None:
+        """Try at a shot until it is taken, given up or the operator decides."""
+        counts: Counter[Cause] = Counter()
+        again = False
+        while True:
+            self._attempts[shot.id] += 1
+            self._set(shot=shot.id, attempt=self._attempts[shot.id])
+            try:
+                taken = _need(self._sequencer).attempt(shot, self._cancel, again=again)
+            except AttemptError as error:
+                counts[error.cause] += 1
+                self._journal_failure(shot, error)
+                again = self._mend(block, error, counts)
+                self._boundary(block)
+                continue
+            break
+        self._step(shot.id, Step.COMMIT)
+        self.latest = (shot.id, taken.frame.pixels)
+        limit = self._plan.limits.saturated_fraction
+        if taken.details["saturated_fraction"] > limit and self._sees_light(shot):
+            share = 100.0 * taken.details["saturated_fraction"]
+            self._problem(f"shot {shot.id}: {share:.2g} % of the pixels are saturated.")
+        self._keep(
+            Item(
+                event="commit",
+                shot=shot.id,
+                attempt=self._attempts[shot.id],
+                pixels=taken.frame.pixels,
+                details=taken.details,
             )
-            raise PlanError(msg)
+        )
+        self._taken.add(shot.id)
+        self._last_taken_s[block[0].id] = self._rig.now_s()
+        self._hear_saved()
+
+    def _sees_light(self, shot: Shot) -> bool:
+        # the long exposures of a bracket are meant to clip
+        return shot.exposure_s == min(s.exposure_s for s in self._expanded.shots)
+
+    def _mend(self, block: tuple[Shot, ...], error: AttemptError, counts: Counter[Cause]) -> bool:
+        """Do what the cause asks for; return whether the pattern is still up for the next try."""
+        cause, sequencer = error.cause, _need(self._sequencer)
+        if cause == Cause.DEVICE_LOST:
+            self._losses += 1
+            if self._losses > 1:
+                self._pause(f"{error} It is the second loss of this run.", block)
+            self._recover(block, str(error))
+            self._void(block, "the device was lost in the middle of the group")
+            raise _GroupEndedError
+        self._set(failures=self.status.failures + (cause != Cause.NOT_FIRED))
+        limits = self._plan.limits
+        allowed = max(limits.failures_per_run * self.status.total, MIN_FAILURES)
+        if counts[cause] >= limits.attempts_per_shot:
+            counts.clear()
+            self._pause(
+                f"{error} It failed {limits.attempts_per_shot} times for this cause.", block
+            )
+            return False
+        if self.status.failures > allowed:
+            self._pause(f"{error} {self.status.failures} attempts of this run failed.", block)
+            self._set(failures=0)
+            return False
+        if cause in _REARM or (cause == Cause.DUPLICATE and counts[cause] == 2):
+            self._recover(block, str(error))
+            return False
+        if cause == Cause.WRONG_EXPOSURE:
+            sequencer.forget_exposure()
+        return True
+
+    def _recover(self, block: tuple[Shot, ...], why: str) -> None:
+        """Close and open the devices again; pause where they do not come back."""
+        self._go(State.RECOVERING, why)
+        while True:
+            try:
+                self._cancel.check()
+                self.references.rearm(_need(self._sequencer))
+                break
+            except (DriverError, RunError) as error:
+                if isinstance(error, CancelledError):
+                    raise
+                self._problem(str(error))
+                self._pause(f"the devices did not come back: {error}", block)
+                self._go(State.RECOVERING)
+        self._go(State.RUNNING)
+
+    def _pause(self, reason: str, block: tuple[Shot, ...]) -> None:
+        """Stand still, dark, until the operator decides; then begin with new references."""
+        self._problem(reason)
+        if self._plan.limits.on_failure == "abort" and reason != "asked by the operator":
+            raise RunError(reason)
+        self._pause_asked = False
+        self._go(State.PAUSED, reason)
+        self._rig.projector.make_safe()
+        self._keep(Item(event="pause", details={"reason": reason}))
+        _need(self._keeper).drain(PATIENCE_S)
+        self._hear_failure()
+        self._decide(block)
+        self._go(State.RUNNING)
+        _need(self._sequencer).forget()
+        self._pay()
+        self._refer()
+
+    def _decide(self, block: tuple[Shot, ...]) -> None:
+        while True:
+            self._cancel.check()
+            try:
+                command = self._commands.get(timeout=SLICE_S)
+            except queue.Empty:
+                continue
+            if command in (Command.RESUME, Command.RETRY):
+                return
+            if command in (Command.ABORT, Command.ABORT_AFTER_GROUP):
+                msg = "aborted by the operator"
+                raise _AbortedError(msg)
+            if command is Command.SKIP_GROUP:
+                self._skip(block)
+                self._go(State.RUNNING)
+                self._pay()
+                raise _GroupEndedError
+            self._refuse_command(command)
+
+    def _finish(self, end: State, reason: str) -> Status:
+        """Leave the rig dark and the session whole; no step hides another or the first error."""
+        self._go(State.FINISHING, reason)
+        for problem in finish_devices(self._rig):
+            self._problem(problem)
+        for problem in finish_session(self._keeper, self._writer, str(end), reason, PATIENCE_S):
+            self._problem(problem)
+            end = State.FAILED if end is State.COMPLETED else end
+            reason = reason or problem
+        self._hear_saved()
+        self._go(end, reason)
+        return self.status
+
+    # What happens between two attempts.
+
+    def _boundary(self, block: tuple[Shot, ...]) -> None:
+        """Hear the disk and the operator."""
+        self._cancel.check()
+        self._hear_saved()
+        failure = self._hear_failure()
+        if failure:
+            self._pause(failure, block)
+            raise _GroupEndedError
+        while not self._commands.empty():
+            command = self._commands.get()
+            if self.status.state not in TAKES[command]:
+                self._refuse_command(command)
+            elif command is Command.PAUSE:
+                self._pause_asked = True
+            elif command is Command.ABORT_AFTER_GROUP:
+                self._after_group = True
+            elif command is Command.SKIP_GROUP:
+                self._skip(block)
+                raise _GroupEndedError
+        if self._pause_asked:
+            self._pause("asked by the operator", block)
+
+    def _repeat_if_torn(self, block: tuple[Shot, ...]) -> None:
+        """Take a group again from its start if it stood still for too long."""
+        begun = self._last_taken_s.get(block[0].id)
+        if begun is None or not any(shot.id in self._taken for shot in block):
+            return
+        gap_s = self._rig.now_s() - begun
+        if gap_s > self._plan.limits.max_gap_in_group_s:
+            self._void(block, f"the group stood still for {gap_s:.0f} s")
+            raise _GroupEndedError
+
+    def _void(self, block: tuple[Shot, ...], reason: str) -> None:
+        keeper, writer = _need(self._keeper), _need(self._writer)
+        keeper.drain(PATIENCE_S)
+        self._hear_saved()
+        if failure := self._hear_failure():
+            self._pause(failure, block)
+        # the writer's thread has nothing in hand now, so that this one may write
+        for shot in block:
+            self._taken.discard(shot.id)
+            if shot.id in writer.progress.saved:
+                writer.void(shot.id, reason)
+        self._last_taken_s.pop(block[0].id, None)
+        self._set(saved=len(self._taken))
+        self._note(f"group {block[0].group} is taken again: {reason}", {})
+
+    def _skip(self, block: tuple[Shot, ...]) -> None:
+        self._skipped |= {shot.id for shot in block if shot.id not in self._taken}
+        self._note(f"group {block[0].group} was skipped by the operator", {})
+
+    def _refer(self) -> None:
+        """Measure white and black light; begin a new segment if the lamp has changed."""
+        for _ in range(self._plan.limits.attempts_per_shot):
+            try:
+                found = self.references.measure(_need(self._sequencer), self._cancel)
+            except AttemptError as error:
+                self._problem(f"reference: {error}")
+                if error.cause in (Cause.DEVICE_LOST, Cause.NOT_FIRED):
+                    self._recover(blocks_of(self._expanded.shots)[0], str(error))
+                continue
+            self._note(found.text, {"reference": found.levels})
+            if found.changed:
+                self._problem(found.text)
+                self._keep(Item(event="segment", details={"reason": found.text}))
+            return
+        msg = "no reference frame could be taken; check lamp, camera and trigger."
+        raise RunError(msg)
+
+    # What is kept, told and remembered.
+
+    def _keep(self, item: Item) -> None:
+        _need(self._keeper).put(item, CancelToken())
+
+    def _journal_failure(self, shot: Shot, error: AttemptError) -> None:
+        about = {**error.details, "cause": error.cause}
+        attempt = self._attempts[shot.id]
+        if error.frame is not None:
+            about["reason"] = str(error)
+            self._keep(
+                Item(
+                    event="reject",
+                    shot=shot.id,
+                    attempt=attempt,
+                    pixels=error.frame.pixels,
+                    details=about,
+                )
+            )
+        else:
+            about |= {"shot": shot.id, "attempt": attempt, "why": str(error)}
+            self._keep(Item(event="drop", details=about))
+        self._problem(str(error))
+
+    def _hear_saved(self) -> None:
+        if self._keeper is None:
+            return
+        for item in self._keeper.collect_saved():
+            if item.event == "commit":
+                self._set(saved=self.status.saved + 1, eta_s=self._eta_s())
+                self._emit("saved", item.shot)
+
+    def _hear_failure(self) -> str:
+        """Return why the disk failed, after letting its frames be taken again; else nothing."""
+        keeper = _need(self._keeper)
+        failure = keeper.collect_failure()
+        if failure is None:
+            return ""
+        if isinstance(failure.error, LabrigError) or not isinstance(failure.error, OSError):
+            raise failure.error
+        why = f"the disk failed: {failure.error.strerror or failure.error}"
+        for item in failure.unsaved:
+            self._taken.discard(item.shot)
+            if item.pixels is not None:
+                about = {"shot": item.shot, "attempt": item.attempt, "why": why, "cause": "disk"}
+                self._owed.append(Item(event="drop", details=about))
+            elif item.event != "pause":
+                self._owed.append(item)
+        return f"{why}; make room or mend it, then resume."
+
+    def _pay(self) -> None:
+        """Journal the resume, and what a full disk did not take before."""
+        owed, self._owed = self._owed, []
+        for item in (Item(event="resume"), *owed):
+            self._keep(item)
+
+    def _wanted(self, shot: Shot) -> bool:
+        return shot.id not in self._taken and shot.id not in self._skipped
+
+    def _eta_s(self) -> float:
+        left = [shot for shot in self._expanded.shots if self._wanted(shot)]
+        return self.references.seconds(left)
+
+    def _step(self, shot: str, step: Step) -> None:
+        self._set(step=step)
+        self._rig.notice(shot, step)
+        self._emit("step", step)
+
+    def _refuse_command(self, command: Command) -> None:
+        if command is not Command.ABORT:
+            self._emit("note", f"{command} does nothing while {self.status.state}")
+
+    def _problem(self, text: str) -> None:
+        self.problems.append(text)
+        self._set(problem=text)
+        self._emit("problem", text)
+
+    def _note(self, text: str, details: dict[str, Any]) -> None:
+        if self._keeper is not None:
+            self._keep(Item(event="note", details={"text": text, **details}))
+        self._emit("note", text)
+
+    def _go(self, state: State, reason: str = "") -> None:
+        if state not in NEXT.get(self.status.state, frozenset()):
+            msg = f"a run cannot go from {self.status.state} to {state}"
+            raise AssertionError(msg)
+        step = None if state in ENDS else self.status.step
+        self._set(state=state, reason=reason, step=step)
+        self._emit("state", state)
+
+    def _set(self, **changes: Any) -> None:
+        self.status = replace(self.status, **changes)
+
+    def _emit(self, kind: Any, text: str) -> None:
+        event = Event(kind=kind, status=self.status, text=str(text))
+        for callback in tuple(self._subscribers):
+            try:
+                callback(event)
+            except Exception as error:
+                self._subscribers.remove(callback)
+                self.problems.append(f"a listener failed and hears no more: {error!r}")
+
+
+def _need(found: T | None) -> T:
+    if found is None:
+        msg = "the run is not armed"
+        raise AssertionError(msg)
+    return found

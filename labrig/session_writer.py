@@ -7,63 +7,109 @@ Callers import from `labrig.session`, which also reads what is written here.
 from __future__ import annotations
 
 import errno
-import fcntl
-import hashlib
-import io
-import json
 import os
 import platform
-import re
 import secrets
-import unicodedata
-import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from importlib import metadata
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Literal
 
-import cv2
 import numpy as np
-import tifffile
 import xxhash
 from numpy.typing import NDArray
 
-from labrig.errors import SessionError, SessionLockedError
+from labrig.disk import Disk
+from labrig.errors import SessionError
+from labrig.session_format import (
+    CAPTURED,
+    FRAME_KEYS,
+    HEADER,
+    HEADER_KEYS,
+    JOURNAL,
+    LINE_KEYS,
+    RECORDABLE,
+    RESERVE,
+    SCHEMA,
+    SEAL,
+    captured_files,
+    frame_file,
+    is_part,
+    journal_line,
+    one_line,
+    pixel_digest,
+    png,
+    refuse_reserved,
+    sha256_of,
+    shot_ids,
+    slug,
+    software_versions,
+    tiff,
+    to_json,
+)
+from labrig.session_lock import let_go, take_lock
 
-SCHEMA = "labrig-session/1"
-JsonObject = dict[str, Any]
 
-HEADER, JOURNAL, SEAL = "session.json", "journal.jsonl", "SEAL.json"
-CAPTURED = ("calibration", "frames", "patterns", "rejected")
-_LOCK, _RESERVE = "session.lock", "reserve.bin"
-_RECORDABLE = ("drop", "note", "pause", "resume", "segment")
-_PACKAGES = ("labrig", "numpy", "opencv-contrib-python-headless", "scipy", "tifffile", "xxhash")
-_HEADER_KEYS = {"created", "host", "id", "schema", "software"}
-_LINE_KEYS = {"crc32", "event", "n", "segment", "t"}
-_FRAME_KEYS = {"attempt", "bytes", "cols", "file", "file_xxh3_128", "rows", "shot", "xxh3_128"}
-_STEM = re.compile(r"[A-Za-z0-9._-]{1,200}")
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Item:
+    """What shall stand in the journal: a frame to be kept, or an event without one."""
+
+    event: Literal["commit", "reject", "drop", "note", "pause", "resume", "segment", "void"]
+    shot: str = ""
+    attempt: int = 0
+    pixels: NDArray[np.uint16] | None = None
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass
+class Progress:
+    """What a session holds so far, by shot: the attempt that counts, and the last one made."""
+
+    saved: dict[str, int] = field(default_factory=dict)
+    last_attempt: dict[str, int] = field(default_factory=dict)
+    rejected: set[tuple[str, int]] = field(default_factory=set)
+    n_dropped: int = 0
+    n_lines: int = 0
+    segment: int = 1
+    journal_bytes: int = 0
 
 
 class SessionWriter:
     """Write one session, from one thread; leaving it without an error seals the folder.
 
-    A frame is saved once `commit` has returned, whatever then happens to the process or the
-    power. An ``OSError`` from any method means that its step was not done: pause, mend the
+    A frame is saved once `commit` or `keep` has returned, whatever then happens to the process or
+    the power. An ``OSError`` from any method means that its step was not done: pause, mend the
     disk, and do the step again.
     """
 
-    def __init__(self, path: Path, session_id: str, shots: Iterable[str]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        session_id: str,
+        shots: Iterable[str],
+        *,
+        progress: Progress | None = None,
+        lock: int | None = None,
+        disk: Disk | None = None,
+    ) -> None:
         self.path = path
+        self.shots = tuple(shots)
+        self.progress = progress or Progress()
         self._id = session_id
-        self._saved = dict.fromkeys(shots, False)
-        self._rejected: set[tuple[str, int]] = set()
-        self._n_lines = self._n_dropped = self._journal_bytes = 0
-        self._segment = 1
-        self._lock = _take_lock(path)
-        self._journal = os.open(path / JOURNAL, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        self._known = frozenset(self.shots)
+        self._disk = disk or Disk()
+        self._lock = take_lock(path) if lock is None else lock
+        flags = os.O_WRONLY | os.O_NOFOLLOW | os.O_CLOEXEC
+        flags |= os.O_CREAT | os.O_EXCL if progress is None else 0
+        try:
+            self._journal = os.open(path / JOURNAL, flags, 0o644)
+        except BaseException:
+            if lock is None:
+                let_go(self._lock)
+            raise
         self._open = True
 
     @classmethod
@@ -74,6 +120,7 @@ class SessionWriter:
         header: Mapping[str, Any],
         *,
         patterns: Mapping[str, NDArray[np.uint8]] | None = None,
+        disk: Disk | None = None,
     ) -> SessionWriter:
         """Make ``<root>/<YYYY-MM-DD>/<HHMMSS>_<name>_<4 hex>/`` (UTC) and begin its journal.
 
@@ -90,41 +137,42 @@ class SessionWriter:
             If header or patterns cannot be kept; nothing is made then.
         """
         shots = shot_ids(header.get("shots"))
-        _refuse_reserved(header, _HEADER_KEYS)
+        refuse_reserved(header, HEADER_KEYS)
         created = datetime.now(UTC)
-        folder = f"{created:%H%M%S}_{_slug(name)}_{secrets.token_hex(2)}"
+        folder = f"{created:%H%M%S}_{slug(name)}_{secrets.token_hex(2)}"
         path = root / f"{created:%Y-%m-%d}" / folder
         about = {
             "schema": SCHEMA,
             "id": f"{created:%Y-%m-%d}_{folder}",
             "created": created.isoformat(timespec="milliseconds"),
             "host": platform.node(),
-            "software": _software(),
+            "software": software_versions(),
         }
         head = to_json({"name": name, **header, **about}, pretty=True)
-        images = {
-            f"patterns/{key}.png": _png(key, image) for key, image in (patterns or {}).items()
-        }
+        images = {f"patterns/{key}.png": png(key, image) for key, image in (patterns or {}).items()}
         digests = {file: sha256_of(content) for file, content in {HEADER: head, **images}.items()}
 
         path.mkdir(parents=True)
         for part in CAPTURED:
             (path / part).mkdir()
-        writer = cls(path, str(about["id"]), shots)
+        writer = cls(path, str(about["id"]), shots, disk=disk)
         try:
-            for file, content in images.items():
-                _write_file(path / file, content)
-            # random: a compressing file system keeps zeros in no room at all
-            _write_file(path / _RESERVE, secrets.token_bytes(1 << 20))
-            writer._append("open", {"session": about["id"], "files": digests})
-            # last, so that a folder with a header is a whole session
-            _write_file(path / HEADER, head)
-            _sync_folder(path.parent)
-            _sync_folder(root)
+            writer._begin(images, head, digests)
+            writer._disk.sync_folder(root)
         except BaseException:
             writer._release()
             raise
         return writer
+
+    def _begin(self, images: Mapping[str, bytes], head: bytes, digests: Mapping[str, str]) -> None:
+        if images:
+            self._disk.write_files({self.path / file: image for file, image in images.items()})
+        # random: a compressing file system keeps zeros in no room at all
+        self._disk.write_file(self.path / RESERVE, secrets.token_bytes(1 << 20))
+        self._append([("open", {"session": self._id, "files": dict(digests)})])
+        # last, so that a folder with a header is a whole session
+        self._disk.write_file(self.path / HEADER, head)
+        self._disk.sync_folder(self.path.parent)
 
     def commit(
         self, shot_id: str, attempt: int, pixels: NDArray[np.uint16], details: Mapping[str, Any]
@@ -136,12 +184,9 @@ class SessionWriter:
         SessionError
             If the shot is unknown or has its frame, or pixels or details cannot be kept.
         """
-        if self._saved.get(shot_id):
-            msg = f"shot {shot_id!r} already has its frame: give a second one to reject()."
-            raise SessionError(msg)
-        path = self._keep("commit", shot_id, attempt, pixels, details)
-        self._saved[shot_id] = True
-        return path
+        item = Item(event="commit", shot=shot_id, attempt=attempt, pixels=pixels, details=details)
+        self.keep([item])
+        return self.path / frame_file("commit", shot_id, attempt)
 
     def reject(
         self,
@@ -152,35 +197,97 @@ class SessionWriter:
         details: Mapping[str, Any],
     ) -> Path:
         """Keep a refused frame, (rows, cols) counts, beside the good ones, with the reason."""
-        _refuse_reserved(details, {"reason"})
-        if (shot_id, attempt) in self._rejected:
-            msg = f"attempt {attempt} at shot {shot_id!r} was already rejected: count on."
-            raise SessionError(msg)
-        path = self._keep("reject", shot_id, attempt, pixels, {**details, "reason": reason})
-        self._rejected.add((shot_id, attempt))
-        return path
+        refuse_reserved(details, {"reason"})
+        told = {**details, "reason": reason}
+        item = Item(event="reject", shot=shot_id, attempt=attempt, pixels=pixels, details=told)
+        self.keep([item])
+        return self.path / frame_file("reject", shot_id, attempt)
 
     def record(self, event: str, **details: Any) -> None:
         """Journal a drop, note, pause or resume, or a segment, whose line begins the next one."""
-        if event not in _RECORDABLE:
-            msg = f"the journal knows no event {event!r}: use {', '.join(_RECORDABLE)}."
+        if event not in RECORDABLE or event == "void":
+            msg = f"the journal knows no event {event!r}: use {', '.join(RECORDABLE[:-1])}."
             raise SessionError(msg)
-        self._append(event, details)
-        self._n_dropped += event == "drop"
+        self._append([(event, details)])
+        self.progress.n_dropped += event == "drop"
+
+    def void(self, shot_id: str, reason: str) -> None:
+        """Take back a commit: its frame counts no more and lies with the rejected ones."""
+        attempt = self.progress.saved.get(shot_id)
+        if attempt is None:
+            msg = f"shot {shot_id!r} has no frame that could be taken back."
+            raise SessionError(msg)
+        self._append([("void", {"shot": shot_id, "attempt": attempt, "reason": reason})])
+        del self.progress.saved[shot_id]
+        self.progress.rejected.add((shot_id, attempt))
+        self._disk.move(
+            self.path / frame_file("commit", shot_id, attempt),
+            self.path / frame_file("reject", shot_id, attempt),
+        )
+
+    def forget(self, shot_id: str, reason: str) -> None:
+        """Journal that a committed frame is lost; its shot can then be taken again."""
+        about = {"shot": shot_id, "attempt": self.progress.saved[shot_id], "reason": reason}
+        self._append([("void", {**about, "lost": True})])
+        del self.progress.saved[shot_id]
+
+    def keep(self, items: Sequence[Item]) -> None:
+        """Keep frames and events together: all are on the disk on return, or none counts.
+
+        Raises
+        ------
+        SessionError
+            If a shot is unknown or has its frame, or pixels or details cannot be kept.
+        """
+        self._refuse_if_closed()
+        files: dict[Path, bytes] = {}
+        lines: list[tuple[str, Mapping[str, Any]]] = []
+        for item in items:
+            if item.pixels is None:
+                lines.append((item.event, item.details))
+                continue
+            self._refuse_second(item)
+            facts, content = self._encode(item, item.pixels)
+            file = frame_file(item.event, item.shot, item.attempt)
+            if self.path / file in files:
+                msg = f"shot {item.shot!r} would be saved twice at once: keep one frame of it."
+                raise SessionError(msg)
+            files[self.path / file] = content
+            digest = xxhash.xxh3_128_hexdigest(content)
+            about = {**facts, "file": file, "bytes": len(content), "file_xxh3_128": digest}
+            lines.append((item.event, about))
+        if files:
+            self._disk.write_files(files)
+        self._append(lines)
+        for item in items:
+            self._count(item)
 
     def close(self, outcome: str = "completed") -> None:
         """Journal the outcome, seal every captured file and let go of the lock."""
         if not self._open:
             return
         try:
+            self._set_aside_strays()
             ending = {"outcome": outcome, **self._counts()}
-            self._append("close", ending)
-            (self.path / _RESERVE).unlink(missing_ok=True)
+            self._append([("close", ending)])
+            self._disk.remove(self.path / RESERVE)
             files = [HEADER, JOURNAL, *(f for f in captured_files(self.path) if not is_part(f))]
             digests = {file: sha256_of(self.path / file) for file in files}
             seal = {"schema": SCHEMA, "id": self._id, **ending, "files": digests}
             seal["seal_sha256"] = sha256_of(to_json(seal))
-            _write_file(self.path / SEAL, to_json(seal, pretty=True))
+            self._disk.write_file(self.path / SEAL, to_json(seal, pretty=True))
+        finally:
+            self._release()
+
+    def leave(self, outcome: str, why: str) -> None:
+        """Let go of the session without a seal: it can be resumed."""
+        if not self._open:
+            return
+        try:
+            # the error that brought us here matters more than a journal that cannot take it
+            with suppress(OSError):
+                ending = {"outcome": outcome, "error": one_line(why), **self._counts()}
+                self._append([("close", ending)])
         finally:
             self._release()
 
@@ -195,88 +302,82 @@ class SessionWriter:
     ) -> None:
         if error is None:
             self.close()
-        elif self._open:
-            why = one_line(f"{type(error).__name__}: {error}")
-            try:
-                # the error that brought us here matters more than a journal that cannot take it
-                with suppress(OSError):
-                    self._append("close", {"outcome": "failed", "error": why, **self._counts()})
-            finally:
-                self._release()
+        else:
+            self.leave("failed", f"{type(error).__name__}: {error}")
 
     def _counts(self) -> dict[str, int]:
-        saved = sum(self._saved.values())
-        return {"expected": len(self._saved), "saved": saved, "dropped": self._n_dropped}
+        p = self.progress
+        return {"expected": len(self.shots), "saved": len(p.saved), "dropped": p.n_dropped}
 
-    def _keep(
-        self,
-        event: str,
-        shot_id: str,
-        attempt: int,
-        pixels: NDArray[np.uint16],
-        details: Mapping[str, Any],
-    ) -> Path:
-        """Write file, then line: a frame without its journal line does not exist."""
-        self._refuse_if_closed()
-        if shot_id not in self._saved:
-            msg = f"session {self._id} plans no shot {shot_id!r}: take ids from its header."
+    def _refuse_second(self, item: Item) -> None:
+        if item.shot not in self._known:
+            msg = f"session {self._id} plans no shot {item.shot!r}: take ids from its header."
             raise SessionError(msg)
+        if item.event == "commit" and item.shot in self.progress.saved:
+            msg = f"shot {item.shot!r} already has its frame: give a second one to reject()."
+            raise SessionError(msg)
+        if item.event == "reject" and (item.shot, item.attempt) in self.progress.rejected:
+            msg = f"attempt {item.attempt} at shot {item.shot!r} was already rejected: count on."
+            raise SessionError(msg)
+
+    def _encode(self, item: Item, pixels: NDArray[np.uint16]) -> tuple[dict[str, Any], bytes]:
         if pixels.dtype != np.uint16 or pixels.ndim != 2 or not pixels.size:
             msg = (
-                f"the frame of shot {shot_id!r} is {pixels.dtype} of shape {pixels.shape}: "
+                f"the frame of shot {item.shot!r} is {pixels.dtype} of shape {pixels.shape}: "
                 "a session keeps uint16 counts, (rows, cols)."
             )
             raise SessionError(msg)
-        _refuse_reserved(details, _FRAME_KEYS | _LINE_KEYS)
+        refuse_reserved(item.details, FRAME_KEYS | LINE_KEYS)
         facts = {
-            **details,
-            "shot": shot_id,
-            "attempt": attempt,
+            **item.details,
+            "shot": item.shot,
+            "attempt": item.attempt,
             "rows": pixels.shape[0],
             "cols": pixels.shape[1],
             "xxh3_128": pixel_digest(pixels),
         }
-        content = _tiff(pixels, {"session": self._id, "segment": self._segment, "frame": facts})
-        file = frame_file(event, shot_id, attempt)
-        _write_file(self.path / file, content)
-        digest = xxhash.xxh3_128_hexdigest(content)
-        line = {**facts, "file": file, "bytes": len(content), "file_xxh3_128": digest}
-        self._append(event, line)
-        return self.path / file
+        about = {"session": self._id, "segment": self.progress.segment, "frame": facts}
+        return facts, tiff(pixels, about)
 
-    def _append(self, event: str, fields: Mapping[str, Any]) -> None:
+    def _count(self, item: Item) -> None:
+        p = self.progress
+        p.n_dropped += item.event == "drop"
+        if item.shot:
+            p.last_attempt[item.shot] = max(p.last_attempt.get(item.shot, 0), item.attempt)
+        if item.event == "commit":
+            p.saved[item.shot] = item.attempt
+        elif item.event == "reject":
+            p.rejected.add((item.shot, item.attempt))
+
+    def _append(self, lines: Sequence[tuple[str, Mapping[str, Any]]]) -> None:
         self._refuse_if_closed()
-        _refuse_reserved(fields, _LINE_KEYS)
-        segment = self._segment + (event == "segment")
-        t = datetime.now(UTC).isoformat(timespec="milliseconds")
-        body = to_json(
-            {**fields, "event": event, "n": self._n_lines + 1, "segment": segment, "t": t}
-        )
-        line = body[:-1] + b',"crc32":"%08x"}\n' % zlib.crc32(body)
-        reserve = self.path / _RESERVE
+        p = self.progress
+        segment, written = p.segment, []
+        for number, (event, fields) in enumerate(lines, start=p.n_lines + 1):
+            segment += event == "segment"
+            written.append(journal_line(event, number, segment, fields))
+        content = b"".join(written)
+        reserve = self.path / RESERVE
         try:
-            self._write_line(line)
+            self._disk.append(self._journal, content, p.journal_bytes)
         except OSError as error:
             full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-            if not (full and event in ("pause", "close") and reserve.exists()):
+            if not (full and lines[0][0] in ("pause", "close") and reserve.exists()):
                 raise
-            reserve.unlink()
-            self._write_line(line)
-        self._n_lines, self._segment = self._n_lines + 1, segment
-        self._journal_bytes += len(line)
+            self._disk.remove(reserve)
+            self._disk.append(self._journal, content, p.journal_bytes)
+        p.n_lines, p.segment = p.n_lines + len(lines), segment
+        p.journal_bytes += len(content)
 
-    def _write_line(self, line: bytes) -> None:
-        """Write behind the last good line, so that a failed line is never one in the middle."""
-        try:
-            os.lseek(self._journal, self._journal_bytes, os.SEEK_SET)
-            rest = memoryview(line)
-            while rest:
-                rest = rest[os.write(self._journal, rest) :]
-            os.fdatasync(self._journal)
-        except BaseException:
-            with suppress(OSError):
-                os.ftruncate(self._journal, self._journal_bytes)
-            raise
+    def _set_aside_strays(self) -> None:
+        """Move files that no line promises, such as of a failed commit, out of the good ones."""
+        p = self.progress
+        promised = {frame_file("commit", shot, 0) for shot in p.saved}
+        promised |= {frame_file("reject", shot, attempt) for shot, attempt in p.rejected}
+        for file in captured_files(self.path):
+            if file.startswith(("frames/", "rejected/")) and file not in promised:
+                free = free_name(self.path / "quarantine", Path(file).name)
+                self._disk.move(self.path / file, free)
 
     def _refuse_if_closed(self) -> None:
         if not self._open:
@@ -288,186 +389,14 @@ class SessionWriter:
         try:
             os.close(self._journal)
         finally:
-            _held_locks.discard(self._lock)
-            os.close(self._lock)
+            let_go(self._lock)
 
 
-_held_locks: set[int] = set()
-
-
-def _forget_locks() -> None:
-    for lock in _held_locks:
-        os.close(lock)
-    _held_locks.clear()
-
-
-# a forked helper shares the lock and would hold it after its parent was killed
-os.register_at_fork(after_in_child=_forget_locks)
-
-
-def _take_lock(folder: Path) -> int:
-    boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
-    lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        holder = one_line(os.read(lock, 500).decode(errors="replace").strip())
-        os.close(lock)
-        msg = f"{folder.name} is being written by {holder or 'another'}: wait for it, or end it."
-        raise SessionLockedError(msg) from None
-    os.ftruncate(lock, 0)
-    os.write(lock, f"pid {os.getpid()} on host {platform.node()} (boot {boot})\n".encode())
-    _held_locks.add(lock)
-    return lock
-
-
-def shot_ids(shots: object) -> list[str]:
-    """Return the ids of a header's shots, refused unless each can name a file of its own."""
-    if not isinstance(shots, list | tuple) or not shots:
-        msg = "the header lists no shots: give a list of dicts, each with an id."
-        raise SessionError(msg)
-    ids: dict[str, None] = {}
-    for shot in shots:
-        shot_id = shot.get("id") if isinstance(shot, Mapping) else None
-        if not isinstance(shot_id, str) or not _STEM.fullmatch(shot_id):
-            msg = f"shot id {shot_id!r} cannot name a file: use letters, digits, '.', '_', '-'."
-            raise SessionError(msg)
-        if shot_id in ids:
-            msg = f"shot id {shot_id!r} stands twice in the header: give each shot its own."
-            raise SessionError(msg)
-        ids[shot_id] = None
-    return list(ids)
-
-
-def frame_file(event: str, shot_id: str, attempt: int) -> str:
-    """Name the file of a committed or rejected frame, relative to the session."""
-    return f"frames/{shot_id}.tif" if event == "commit" else f"rejected/{shot_id}-a{attempt}.tif"
-
-
-def pixel_digest(pixels: NDArray[np.uint16]) -> str:
-    """Return the XXH3-128 of the counts, row by row, in hex."""
-    return xxhash.xxh3_128_hexdigest(np.ascontiguousarray(pixels).data)
-
-
-def captured_files(folder: Path) -> list[str]:
-    """Name every file, link and part file a session captured; links are not followed."""
-    found = []
-    for here, folders, files in os.walk(folder):
-        at_top = Path(here) == folder
-        if at_top:
-            folders[:] = [name for name in folders if name in CAPTURED]
-        links = [name for name in folders if Path(here, name).is_symlink()]
-        kept = [name for name in files if name in CAPTURED or is_part(name) or not at_top]
-        found += [Path(here, name).relative_to(folder).as_posix() for name in kept + links]
-    return sorted(found)
-
-
-def is_part(file: str) -> bool:
-    """Tell whether a file is what an interrupted write leaves."""
-    return file.endswith(".part")
-
-
-def to_json(value: object, *, pretty: bool = False) -> bytes:
-    """Return JSON in the one form that digests are taken of: keys sorted, numbers finite."""
-    try:
-        text = json.dumps(
-            value,
-            sort_keys=True,
-            allow_nan=False,
-            ensure_ascii=False,
-            indent=2 if pretty else None,
-            separators=None if pretty else (",", ":"),
-        )
-        return text.encode()
-    except (TypeError, ValueError, RecursionError) as error:
-        msg = (
-            f"{error}: a session keeps finite numbers, text, true, false, null, and lists of them."
-        )
-        raise SessionError(msg) from error
-
-
-def one_line(text: str) -> str:
-    """Return a text of unknown origin without line breaks and terminal commands."""
-    return "".join(c if c.isprintable() else " " for c in text)
-
-
-def sha256_of(source: Path | bytes) -> str:
-    """Return the SHA-256 of a file, or of bytes, in hex."""
-    if isinstance(source, bytes):
-        return hashlib.sha256(source).hexdigest()
-    with source.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def _refuse_reserved(fields: Mapping[str, Any], reserved: set[str]) -> None:
-    if clash := sorted(fields.keys() & reserved):
-        msg = f"{', '.join(clash)}: the session writes this itself; use another name."
-        raise SessionError(msg)
-
-
-def _slug(name: str) -> str:
-    plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode().lower()
-    return re.sub(r"[^a-z0-9]+", "-", plain)[:48].strip("-") or "session"
-
-
-def _software() -> dict[str, str]:
-    versions = {"python": platform.python_version()}
-    for package in _PACKAGES:
-        try:
-            versions[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            versions[package] = "not installed"
-    return versions
-
-
-def _png(key: str, image: NDArray[np.uint8]) -> bytes:
-    if not _STEM.fullmatch(key) or image.dtype != np.uint8 or image.ndim != 2 or not image.size:
-        msg = (
-            f"pattern {key!r} is {image.dtype} of shape {image.shape}: "
-            "give uint8 levels, (rows, cols), under a digest that can name a file."
-        )
-        raise SessionError(msg)
-    return bytes(cv2.imencode(".png", image)[1])
-
-
-def _tiff(pixels: NDArray[np.uint16], about: Mapping[str, Any]) -> bytes:
-    text = to_json({**about, "schema": SCHEMA})
-    if b'"shape":' in text:
-        msg = "details hold a 'shape', by which tifffile knows files of its own: use another name."
-        raise SessionError(msg)
-    stream = io.BytesIO()
-    tifffile.imwrite(
-        stream,
-        pixels,
-        byteorder="<",
-        bigtiff=False,
-        photometric="minisblack",
-        description=text,
-        metadata=None,
-        software="labrig",
-    )
-    return stream.getvalue()
-
-
-def _write_file(path: Path, content: bytes) -> None:
-    """Put a file in place so that it is either whole on the disk or not there."""
-    part = path.with_name(path.name + ".part")
-    try:
-        with part.open("wb") as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        part.replace(path)
-    except BaseException:
-        with suppress(OSError):
-            part.unlink()
-        raise
-    _sync_folder(path.parent)
-
-
-def _sync_folder(path: Path) -> None:
-    folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
+def free_name(folder: Path, name: str) -> Path:
+    """Return a path in a folder that nothing has yet: the name, with a number if need be."""
+    folder.mkdir(exist_ok=True)
+    name = name.removesuffix(".part") + ("-part" if name.endswith(".part") else "")
+    path, k = folder / name, 1
+    while os.path.lexists(path):
+        path, k = folder / f"{name}.{k}", k + 1
+    return path

@@ -6,7 +6,14 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
-from labrig.models.base import MAX_SHIFTS, Model, Positive, Role, check_shift
+from labrig.models.base import (
+    MAX_SHIFTS,
+    Model,
+    NonNegative,
+    Positive,
+    Role,
+    check_shift,
+)
 
 
 class StripesPattern(Model):
@@ -67,6 +74,7 @@ class PlanSet(Model):
     pattern: Pattern
     shutter: Literal["open", "covered"] = "open"
     repeats: int = Field(1, ge=1)
+    every: int | None = Field(None, ge=1, description="repeat after so many shots, as a reference")
 
     @model_validator(mode="after")
     def _dark_frames_show_no_stripes(self) -> PlanSet:
@@ -89,17 +97,71 @@ class PlanSet(Model):
         return roles[self.pattern.kind]
 
 
-class Exposures(Model):
-    """The bracket."""
+class AutoBracket(Model):
+    """A bracket found from a probe: the shortest exposure clips nothing that matters."""
 
-    bracket_s: tuple[Positive, ...] = Field(min_length=1)
+    target: float = Field(0.7, gt=0.0, lt=1.0, description="brightest counts, share of white level")
+    clip: float = Field(0.001, gt=0.0, lt=0.5, description="share of pixels that may be brighter")
+    steps: int = Field(3, ge=1, le=16)
+    ratio: float = Field(4.0, gt=1.0, le=64.0)
+
+
+class Exposures(Model):
+    """The bracket, given or found."""
+
+    bracket_s: tuple[Positive, ...] | None = Field(None, min_length=1)
+    auto: AutoBracket | None = None
+    gain_db: NonNegative = 0.0
+    snap_to: Literal["nothing", "refresh"] = Field(
+        "nothing", description="round exposures to whole periods of the projector"
+    )
 
     @model_validator(mode="after")
-    def _all_different(self) -> Exposures:
-        if len(set(self.bracket_s)) < len(self.bracket_s):
+    def _one_bracket_all_different(self) -> Exposures:
+        if (self.bracket_s is None) == (self.auto is None):
+            msg = "give either bracket_s or auto"
+            raise ValueError(msg)
+        if self.bracket_s is not None and len(set(self.bracket_s)) < len(self.bracket_s):
             msg = f"bracket_s {list(self.bracket_s)} names an exposure twice; use repeats instead"
             raise ValueError(msg)
         return self
+
+
+class Timing(Model):
+    """What is waited for."""
+
+    settle_s: NonNegative | Literal["calibrated"] = "calibrated"
+    discard_after_exposure_change: int | Literal["capability"] = "capability"
+    warmup_s: NonNegative = 0.0
+
+
+class Order(Model):
+    """What changes least often; `labrig check` prints the price of both."""
+
+    outer: Literal["exposure", "pattern"] = "exposure"
+
+
+class Limits(Model):
+    """Where a run stops and asks."""
+
+    saturated_fraction: float = Field(0.001, ge=0.0, le=1.0, description="above it a warning")
+    attempts_per_shot: int = Field(3, ge=1, le=100, description="for each cause of failure")
+    failures_per_run: float = Field(0.05, ge=0.0, le=1.0, description="share of the shots")
+    max_gap_in_group_s: Positive = 30.0
+    on_failure: Literal["pause", "abort"] = "pause"
+    reference_drift: Positive = Field(0.02, description="of the white light; above: new segment")
+
+
+class CalibrationAges(Model):
+    """How old calibrations may be; unset is not checked."""
+
+    projector_latency_max_age_h: Positive | None = None
+
+
+class RigWishes(Model):
+    """What a rig must have, as ``camera.global_shutter`` or ``projector.height >= 720``."""
+
+    require: tuple[str, ...] = ()
 
 
 class Plan(Model):
@@ -109,6 +171,11 @@ class Plan(Model):
     name: str = Field(min_length=1)
     exposures: Exposures
     sets: tuple[PlanSet, ...] = Field(min_length=1)
+    rig: RigWishes = RigWishes()
+    timing: Timing = Timing()
+    order: Order = Order()
+    limits: Limits = Limits()
+    calibration: CalibrationAges = CalibrationAges()
 
     @model_validator(mode="after")
     def _ids_are_unique(self) -> Plan:

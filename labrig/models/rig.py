@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
+from drivers.simulation.faults import FaultKind
 from labrig.models.base import Model, NonNegative, Positive
 from labrig.models.setup import CameraConfig, GeometryConfig, ProjectionConfig
 
@@ -20,6 +21,14 @@ class SimulatedCameraConfig(CameraConfig):
     read_noise_e: Positive
     readout_s: NonNegative = 0.02
     seed: int = 1
+    queue_depth: int = Field(4, ge=1, le=1000)
+    exposure_latency_frames: int = Field(0, ge=0, le=20, description="frames with the old exposure")
+    row_time_s: NonNegative = Field(0.0, description="of a rolling shutter; 0 is a global one")
+    timestamp_source: Literal["start", "end", "arrival", "none"] = "start"
+    uncertainty_s: NonNegative = Field(0.0, description="of its time stamps")
+    exposure_report: Literal["per-frame", "none"] = "per-frame"
+    hot_pixels: int = Field(0, ge=0, le=1_000_000)
+    hot_e_per_s: NonNegative = 0.0
 
 
 class SimulatedProjectorConfig(Model):
@@ -30,8 +39,66 @@ class SimulatedProjectorConfig(Model):
     cols: int = Field(1280, ge=1, le=10000)
     refresh_hz: Positive = 60.0
     latency_s: NonNegative = 0.03
+    jitter_s: NonNegative = Field(0.0, description="the latency's largest excess")
     settle_s: NonNegative = 0.02
+    fade_s: NonNegative = Field(0.0, description="time constant of a change of light")
     black_level: float = Field(0.0, ge=0.0, lt=1.0, description="light of black, share of white")
+
+
+class SoftwareTriggerConfig(Model):
+    """The camera exposes on the computer's word."""
+
+    driver: Literal["software"]
+
+
+class NoTriggerConfig(Model):
+    """The camera exposes by itself, without end; frames are told by their time stamps."""
+
+    driver: Literal["free-run"]
+
+
+class SimulatedTriggerConfig(Model):
+    """A trigger box of the simulated world."""
+
+    driver: Literal["simulated"]
+    latency_s: NonNegative = 1e-4
+    pulse_s: Positive = 1e-3
+    delay_s: NonNegative = 0.0
+
+
+TriggerConfig = Annotated[
+    SoftwareTriggerConfig | NoTriggerConfig | SimulatedTriggerConfig,
+    Field(discriminator="driver"),
+]
+
+
+class LampConfig(Model):
+    """Brightness of the simulated projector over time, as shares of the nominal one."""
+
+    cold_share: float = Field(0.0, ge=0.0, lt=1.0, description="missing when the lamp is lit")
+    warmup_s: Positive = 60.0
+    drift_per_h: float = Field(0.0, gt=-1.0, lt=1.0)
+    flicker: float = Field(0.0, ge=0.0, lt=1.0)
+    flicker_hz: Positive = 100.0
+
+
+class FaultConfig(Model):
+    """One scripted fault of the simulated world."""
+
+    kind: FaultKind
+    shot: str | None = Field(None, description="id of a shot; any if left out")
+    step: str | None = Field(None, description="show, settle, configure, ...; any if left out")
+    times: int = Field(1, ge=1)
+    seconds: NonNegative = 0.0
+    factor: Positive = 2.0
+
+
+class SimulationConfig(Model):
+    """The simulated world beside its devices."""
+
+    clock: Literal["virtual", "real"] = "virtual"
+    lamp: LampConfig = LampConfig()
+    faults: tuple[FaultConfig, ...] = ()
 
 
 class Rig(Model):
@@ -43,3 +110,5 @@ class Rig(Model):
     projector: SimulatedProjectorConfig
     geometry: GeometryConfig
     projection: ProjectionConfig
+    trigger: TriggerConfig = SoftwareTriggerConfig(driver="software")
+    simulation: SimulationConfig = SimulationConfig()

@@ -18,7 +18,7 @@ import pytest
 import tifffile
 from PIL import Image
 
-from labrig import session_writer
+from labrig import session_format, session_lock
 from labrig.errors import SessionError, SessionLockedError
 from labrig.session import SCHEMA, Session, SessionWriter, verify
 
@@ -77,7 +77,7 @@ def forge(path: Path, **changes: object) -> None:
     lines = journal_lines(path)
     line = json.loads(lines[-1] if changes.pop("closing", False) else lines[-2])
     line.pop("crc32")
-    body = session_writer.to_json({**line, "n": len(lines) + 1, **changes})
+    body = session_format.to_json({**line, "n": len(lines) + 1, **changes})
     line_bytes = body[:-1] + b',"crc32":"%08x"}\n' % zlib.crc32(body)
     (path / "journal.jsonl").write_bytes(b"".join([*lines, line_bytes]))
 
@@ -149,7 +149,7 @@ def test_journal_lines_are_json_with_a_crc32_at_the_end(sealed: Path) -> None:
         crc = event.pop("crc32")
         assert last == "crc32"
         assert event["n"] == number
-        assert crc == f"{zlib.crc32(session_writer.to_json(event)):08x}"
+        assert crc == f"{zlib.crc32(session_format.to_json(event)):08x}"
 
 
 def test_segment_and_pauses_are_journaled(tmp_path: Path) -> None:
@@ -384,8 +384,8 @@ def test_seal_cannot_make_verify_look_outside(name: str, sealed: Path) -> None:
     (sealed.parent / "victim").write_text("secret")
     seal = json.loads((sealed / "SEAL.json").read_bytes())
     del seal["seal_sha256"]
-    seal["files"][name] = session_writer.sha256_of(b"secret")
-    seal["seal_sha256"] = session_writer.sha256_of(session_writer.to_json(seal))
+    seal["files"][name] = session_format.sha256_of(b"secret")
+    seal["seal_sha256"] = session_format.sha256_of(session_format.to_json(seal))
     (sealed / "SEAL.json").write_text(json.dumps(seal))
     assert blamed(sealed) == {name}
 
@@ -426,8 +426,8 @@ def test_other_folders_are_no_sessions(place: str, tmp_path: Path) -> None:
 
 def test_other_schema_is_refused(sealed: Path) -> None:
     text = (sealed / "session.json").read_text()
-    (sealed / "session.json").write_text(text.replace(SCHEMA, "labrig-session/2"))
-    with pytest.raises(SessionError, match="labrig-session/2"):
+    (sealed / "session.json").write_text(text.replace(SCHEMA, "labrig-session/9"))
+    with pytest.raises(SessionError, match="labrig-session/9"):
         Session.open(sealed)
 
 
@@ -436,7 +436,7 @@ def test_second_writer_is_refused_naming_the_holder(tmp_path: Path) -> None:
         with pytest.raises(SessionLockedError, match=f"pid {os.getpid()} on host"):
             SessionWriter(writer.path, "s", SHOTS)
         writer.commit(SHOTS[0], 1, picture(0), {})
-    os.close(session_writer._take_lock(writer.path))
+    os.close(session_lock.take_lock(writer.path))
 
 
 def test_lock_is_free_once_the_writer_is_killed_though_its_helper_lives(tmp_path: Path) -> None:
@@ -458,10 +458,10 @@ time.sleep(60)
         path, helper = child.stdout.readline().split()
         try:
             with pytest.raises(SessionLockedError, match=f"pid {child.pid}"):
-                session_writer._take_lock(Path(path))
+                session_lock.take_lock(Path(path))
             child.kill()
             child.wait()
-            os.close(session_writer._take_lock(Path(path)))
+            os.close(session_lock.take_lock(Path(path)))
         finally:
             child.kill()
             os.kill(int(helper), signal.SIGKILL)

@@ -1,0 +1,252 @@
+"""Captures a plan into a new session, and resumes one that was interrupted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from labrig.config import parse
+from labrig.errors import PlanError, RunError, SessionError
+from labrig.header import header_of
+from labrig.models.plan import Plan, Shot
+from labrig.models.rig import Rig
+from labrig.models.scene import Scene
+from labrig.plan import CapturePlan, blocks_of, expand
+from labrig.preflight import Verdict, check_all
+from labrig.probe import resolve
+from labrig.references import References
+from labrig.rig import OpenRig
+from labrig.run_state import Command, Event, State
+from labrig.runner import Finish, Runner
+from labrig.session import Session
+from labrig.session_recovery import Recovery, reopen
+from labrig.session_writer import SessionWriter
+
+VOLATILE = {"exposure_s", "gain_db", "roi", "pixel_format"}  # settings that every shot may change
+
+Listener = Callable[[Event], None]
+
+
+class AbortedError(RunError):
+    """Raised when a run was aborted; what was saved stays saved, and it can be resumed."""
+
+
+def prepare(plan: Plan, rig: OpenRig, out: Path, *, operator: str | None = None) -> Runner:
+    """Return a runner that captures a plan into a new session below ``out``."""
+    expanded = expand(resolve(plan, rig), rig.config)
+
+    def open_session() -> SessionWriter:
+        return SessionWriter.create(
+            out,
+            plan.name,
+            header_of(expanded, rig, operator),
+            patterns=expanded.images,
+            disk=rig.disk,
+        )
+
+    return Runner(
+        expanded,
+        rig,
+        open_session,
+        verdicts=lambda: [
+            *check_all(expanded, rig.config, rig.latency, out),
+            *_camera(expanded, rig),
+        ],
+    )
+
+
+def prepare_resume(path: Path, rig: OpenRig) -> Runner:
+    """Return a runner that captures what an interrupted session lacks.
+
+    Raises
+    ------
+    SessionError
+        If the session cannot be trusted, is complete, or is being written.
+    RunError
+        If plan or devices are not those it was begun with; the message lists the differences.
+    """
+    session = Session.open(path)
+    plan = plan_of(session.header, path)
+    expanded = expand(plan, rig.config)
+    _refuse_other_plan(expanded, session)
+    _refuse_other_devices(session.header, rig)
+    before = next(
+        (e["reference"] for e in reversed(session.events) if isinstance(e.get("reference"), dict)),
+        None,
+    )
+
+    def open_session() -> SessionWriter:
+        writer, recovery = reopen(path, disk=rig.disk)
+        try:
+            _begin_again(writer, recovery, expanded)
+        except BaseException as error:
+            writer.leave("failed", str(error))
+            raise
+        return writer
+
+    return Runner(
+        expanded,
+        rig,
+        open_session,
+        verdicts=lambda: check_all(expanded, rig.config, rig.latency, path),
+        references=References(plan, rig, before=before),
+    )
+
+
+def finish(runner: Runner) -> Path:
+    """Run to the end and return the session's folder.
+
+    Raises
+    ------
+    Exception
+        What made the run fail or refuse; `AbortedError` if it was aborted.
+    """
+    ended: Finish = runner.run()
+    if ended.error is not None:
+        raise ended.error
+    if ended.status.state is not State.COMPLETED:
+        msg = f"the run ended {ended.status.state}: {ended.status.reason}"
+        raise (AbortedError if ended.status.state is State.ABORTED else RunError)(msg)
+    return runner.path
+
+
+def capture(
+    plan: Plan,
+    rig: OpenRig,
+    out: Path,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    listener: Listener | None = None,
+) -> Path:
+    """Take every shot of a plan and return the sealed session folder.
+
+    A run that pauses has nobody to ask here: it is aborted, and can be resumed.
+
+    Parameters
+    ----------
+    out : data root; the session is made below it
+    progress : called with (shots saved, shots in all)
+    listener : hears every event of the run
+    """
+    return _unattended(prepare(plan, rig, out), progress, listener)
+
+
+def resume(
+    path: Path,
+    rig: OpenRig,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    listener: Listener | None = None,
+) -> Path:
+    """Take the shots an interrupted session lacks; return its folder, now sealed."""
+    return _unattended(prepare_resume(path, rig), progress, listener)
+
+
+def _unattended(
+    runner: Runner,
+    progress: Callable[[int, int], None] | None,
+    listener: Listener | None,
+) -> Path:
+    paused: list[str] = []
+
+    def hear(event: Event) -> None:
+        if event.kind == "saved" and progress is not None:
+            progress(event.status.saved, event.status.total)
+        if event.kind == "state" and event.status.state is State.PAUSED:
+            paused.append(event.status.reason)
+            runner.post(Command.ABORT)
+
+    if listener is not None:
+        runner.subscribe(listener)
+    runner.subscribe(hear)
+    runner.post(Command.START)
+    try:
+        return finish(runner)
+    except AbortedError as error:
+        raise AbortedError(paused[0] if paused else str(error)) from None
+
+
+def plan_of(header: Mapping[str, Any], path: Path) -> Plan:
+    """Return the plan a session was captured with."""
+    return parse(header.get("plan"), Plan, source=f"{path}: plan")
+
+
+def rig_of(header: Mapping[str, Any], path: Path) -> tuple[Rig, Scene]:
+    """Return rig and scene of a simulated session; scripted faults have happened already."""
+    if not header.get("simulated"):
+        msg = f"{path} was not captured on a simulated rig: give its rig file with --rig."
+        raise SessionError(msg)
+    rig = parse(header.get("rig"), Rig, source=f"{path}: rig")
+    simulation = rig.simulation.model_copy(update={"faults": ()})
+    scene = parse(header.get("scene"), Scene, source=f"{path}: scene")
+    return rig.model_copy(update={"simulation": simulation}), scene
+
+
+def _begin_again(writer: SessionWriter, recovery: Recovery, expanded: CapturePlan) -> None:
+    """Journal the resume; groups that were torn are taken again, in the new segment."""
+    writer.record(
+        "resume",
+        after="interruption",
+        lost=list(recovery.lost),
+        quarantined=list(recovery.quarantined),
+        at=datetime.now(UTC).isoformat(timespec="milliseconds"),
+    )
+    for block in blocks_of(expanded.shots):
+        saved = [shot for shot in block if shot.id in writer.progress.saved]
+        if 0 < len(saved) < len(block):
+            for shot in saved:
+                writer.void(shot.id, "the session was interrupted in the middle of the group")
+    writer.record("segment", reason="resumed after an interruption")
+
+
+def _refuse_other_plan(expanded: CapturePlan, session: Session) -> None:
+    if session.header.get("plan_digest") == expanded.digest:
+        return
+    now = {shot.id: shot for shot in expanded.shots}
+    for planned in session.shots:
+        shot = parse(dict(planned), Shot, source=f"{session.path}: shots")
+        if now.get(shot.id) != shot:
+            msg = (
+                f"{session.path.name}: shot {shot.id} is planned otherwise on this rig; resume "
+                "with the rig and version it was begun with."
+            )
+            raise RunError(msg)
+    msg = f"{session.path.name}: its plan digest is not that of its shots; do not trust it."
+    raise RunError(msg)
+
+
+def _refuse_other_devices(header: Mapping[str, Any], rig: OpenRig) -> None:
+    before, now = _flat(header.get("devices") or {}), _flat(rig.snapshot())
+    differences = [
+        f"{name} was {before.get(name)!r}, is {now.get(name)!r}"
+        for name in sorted(before.keys() | now.keys())
+        if before.get(name) != now.get(name)
+    ]
+    if differences:
+        msg = f"the rig is not the one the session was begun with: {'; '.join(differences)}."
+        raise RunError(msg)
+
+
+def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            found |= _flat(value, f"{prefix}{name}.")
+        elif name not in VOLATILE:
+            found[f"{prefix}{name}"] = list(value) if isinstance(value, tuple) else value
+    return found
+
+
+def _camera(expanded: CapturePlan, rig: OpenRig) -> list[Verdict]:
+    """Hold the exposures to what the open camera says it has."""
+    low, high = rig.camera_can.exposure_range_s
+    for shot in expanded.shots:
+        if not low <= shot.exposure_s <= high:
+            text = (
+                f"plan {expanded.plan.name!r} asks for {shot.exposure_s} s, the camera has "
+                f"{low} .. {high} s; change exposures.bracket_s."
+            )
+            return [Verdict(name="camera", ok=False, text=text, fatal=PlanError)]
+    return []
