@@ -82,6 +82,8 @@ class Box:
 
     def _edges(self) -> list[Edge]:
         assert self._process.stdout is not None
+        if self._process.stdout.closed:
+            return []
         with self._process.stdout as out:
             lines = [line.split() for line in out]
         self._process.wait(timeout=5)

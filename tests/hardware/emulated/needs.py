@@ -25,3 +25,13 @@ def lack(reason: str) -> None:
     if os.environ.get("CI"):
         pytest.fail(reason)
     pytest.skip(reason)
+
+
+def need_typelib(name: str, version: str, *, package: str) -> None:
+    """Skip unless PyGObject and a typelib are there; where CI is set, that is a failure."""
+    try:
+        import gi  # noqa: PLC0415 - what is asked for
+
+        gi.require_version(name, version)
+    except (ImportError, ValueError) as error:
+        lack(f"{name} {version} cannot be used ({error}); run: make hardware-packages ({package})")
