@@ -80,15 +80,15 @@ class UsbDevice:
             return b""
         return self.control(setup, sent)
 
-    def control(self, setup: Setup, sent: bytes) -> bytes | None:  # noqa: ARG002
+    def control(self, setup: Setup, sent: bytes) -> bytes | None:
         """Answer a request of its own class; None stalls."""
         return None
 
-    def bulk_out(self, endpoint: int, sent: bytes) -> bool:  # noqa: ARG002
+    def bulk_out(self, endpoint: int, sent: bytes) -> bool:
         """Take bytes; False stalls."""
         return False
 
-    def bulk_in(self, endpoint: int, length: int) -> bytes | None:  # noqa: ARG002
+    def bulk_in(self, endpoint: int, length: int) -> bytes | None:
         """Return bytes; None if there are none yet."""
         return None
 
