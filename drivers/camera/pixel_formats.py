@@ -14,7 +14,7 @@ from drivers.errors import FrameCorruptError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PixelFormat:
-    """A format: its name here, its four letters in V4L2, its depth and its bytes a pixel.
+    """A format: its name, its four letters in V4L2, its depth and its bytes a pixel.
 
     ``note`` says what keeps its counts from being what the sensor saw; "" if nothing does.
     """
@@ -49,6 +49,11 @@ MJPEG = PixelFormat(
     bytes_per_px=0,
     note="compressed: counts are not proportional to light",
 )
+MONO8 = PixelFormat(name="Mono8", letters="", bits=8, bytes_per_px=1)
+MONO10 = PixelFormat(name="Mono10", letters="", bits=10, bytes_per_px=2)
+MONO12 = PixelFormat(name="Mono12", letters="", bits=12, bytes_per_px=2)
+MONO16 = PixelFormat(name="Mono16", letters="", bits=16, bytes_per_px=2)
+GENICAM_FORMATS = (MONO16, MONO12, MONO10, MONO8)
 V4L2_FORMATS = (Y16, Y12, Y10, GREY, YUYV, MJPEG)
 
 
