@@ -55,6 +55,7 @@ __all__ = [
     "open_rig",
     "read_results",
     "report",
+    "resume",
     "verify",
 ]
 
@@ -109,6 +110,7 @@ def open_rig(
 ) -> OpenRig:
     """Open the devices of a rig, ready for a plan; use it in a ``with`` block.
 
+    A rig given as a file brings the latency record that lies beside it.
     ``progress(done, all)`` follows the Monte Carlo that makes a new scene's light.
 
     Raises
@@ -116,9 +118,10 @@ def open_rig(
     labrig.errors.LabrigError, drivers.errors.DriverError
         If rig, scene and plan do not fit one another.
     """
+    latency = None if isinstance(rig, Rig) else _config.latency_beside(Path(rig))
     rig = rig if isinstance(rig, Rig) else load_rig(rig)
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
-    return _rig.open_rig(rig, scene, plan, progress=progress)
+    return _rig.open_rig(rig, scene, plan, latency=latency, progress=progress)
 
 
 def capture(plan: Plan, rig: OpenRig, out: StrPath, *, progress: Counted | None = None) -> Path:
@@ -130,6 +133,22 @@ def capture(plan: Plan, rig: OpenRig, out: StrPath, *, progress: Counted | None 
         The session then stays unsealed and keeps every frame taken.
     """
     return _capturing.capture(plan, rig, Path(out), progress=progress)
+
+
+def resume(session: StrPath, *, progress: Counted | None = None) -> Path:
+    """Take the shots that an interrupted session of a simulated rig lacks; return its folder.
+
+    Raises
+    ------
+    labrig.errors.LabrigError, drivers.errors.DriverError
+        If the session cannot be trusted, is complete, or the rig is another one.
+    """
+    path = Path(session)
+    header = _session.Session.open(path).header
+    rig, scene, latency = _capturing.rig_of(header, path)
+    plan = _capturing.plan_of(header, path)
+    with _rig.open_rig(rig, scene, plan, latency=latency) as opened:
+        return _capturing.resume(path, opened, progress=progress)
 
 
 def import_session(manifest: StrPath, out: StrPath, *, progress: Counted | None = None) -> Path:

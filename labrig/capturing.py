@@ -10,6 +10,7 @@ from typing import Any
 from labrig.config import parse
 from labrig.errors import PlanError, RunError, SessionError
 from labrig.header import header_of
+from labrig.models.latency import LatencyRecord
 from labrig.models.plan import Plan, Shot
 from labrig.models.rig import Rig
 from labrig.models.scene import Scene
@@ -68,6 +69,9 @@ def prepare_resume(path: Path, rig: OpenRig) -> Runner:
         If plan or devices are not those it was begun with; the message lists the differences.
     """
     session = Session.open(path)
+    if session.sealed and not session.missing:
+        msg = f"{path} is complete and sealed: there is nothing to resume."
+        raise SessionError(msg)
     plan = plan_of(session.header, path)
     expanded = expand(plan, rig.config)
     _refuse_other_plan(expanded, session)
@@ -173,15 +177,17 @@ def plan_of(header: Mapping[str, Any], path: Path) -> Plan:
     return parse(header.get("plan"), Plan, source=f"{path}: plan")
 
 
-def rig_of(header: Mapping[str, Any], path: Path) -> tuple[Rig, Scene]:
-    """Return rig and scene of a simulated session; scripted faults have happened already."""
+def rig_of(header: Mapping[str, Any], path: Path) -> tuple[Rig, Scene, LatencyRecord | None]:
+    """Return rig, scene and latency of a simulated session; its scripted faults are over."""
     if not header.get("simulated"):
         msg = f"{path} was not captured on a simulated rig: give its rig file with --rig."
         raise SessionError(msg)
     rig = parse(header.get("rig"), Rig, source=f"{path}: rig")
     simulation = rig.simulation.model_copy(update={"faults": ()})
     scene = parse(header.get("scene"), Scene, source=f"{path}: scene")
-    return rig.model_copy(update={"simulation": simulation}), scene
+    kept = (header.get("calibration") or {}).get("projector_latency")
+    latency = None if kept is None else parse(kept, LatencyRecord, source=f"{path}: calibration")
+    return rig.model_copy(update={"simulation": simulation}), scene, latency
 
 
 def _begin_again(writer: SessionWriter, recovery: Recovery, expanded: CapturePlan) -> None:

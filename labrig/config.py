@@ -18,6 +18,7 @@ from pydantic import BaseModel, ValidationError
 from labrig.errors import ConfigError
 from labrig.models.analysis import Analysis
 from labrig.models.base import Model
+from labrig.models.latency import LatencyRecord
 from labrig.models.manifest import ImportManifest
 from labrig.models.plan import Plan
 from labrig.models.rig import Rig
@@ -39,6 +40,31 @@ SCHEMAS: dict[str, type[Model]] = {
 }
 
 M = TypeVar("M", bound=Model)
+
+
+def latency_file(rig: Path) -> Path:
+    """Return where the latency of a rig's projector is kept: beside its rig file."""
+    return rig.with_name(f"{rig.stem}.latency.yaml")
+
+
+def latency_beside(rig: Path) -> LatencyRecord | None:
+    """Return the latency record beside a rig file; None if it was never measured.
+
+    Raises
+    ------
+    ConfigError
+        If there is one that cannot be understood.
+    """
+    file = latency_file(rig)
+    return load(file, LatencyRecord) if file.exists() else None
+
+
+def save(path: Path, record: Model) -> None:
+    """Write a record as YAML, whole or not at all."""
+    content = record.model_dump(mode="json", by_alias=True)
+    part = path.with_name(path.name + ".part")
+    part.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    part.replace(path)
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from drivers.camera.protocol import Camera, CameraCapabilities, TriggerMode
 from drivers.camera.simulated import Sensor, SimulatedCamera
 from drivers.errors import DriverError
@@ -68,6 +71,13 @@ class OpenRig:
     def black_level_dn(self) -> float:
         """Counts of the camera without light."""
         return self.config.camera.black_level_dn
+
+    def variance_dn2(self, counts_dn: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the variance of counts by the camera's gain and read noise, DN^2."""
+        c = self.config.camera
+        light_dn = np.maximum(counts_dn - c.black_level_dn, 0.0)
+        noise_dn2 = (c.gain_dn_per_e * c.read_noise_e) ** 2 + 1.0 / 12.0
+        return np.asarray(c.gain_dn_per_e * light_dn + noise_dn2)
 
     def now_s(self) -> float:
         """Return the devices' monotonic time, s."""
@@ -170,6 +180,13 @@ def open_rig(
         scene, period_mm=stripes.period_px * rig.projection.mm_per_px, progress=progress
     )
     picture = Picture(scene, rig, response, period_px=stripes.period_px)
+    return connect(rig, scene, picture, latency)
+
+
+def connect(
+    rig: Rig, scene: Scene, picture: Picture, latency: LatencyRecord | None = None
+) -> OpenRig:
+    """Open the devices of a simulated rig that sees a picture."""
     world = _world(rig, picture)
     camera = SimulatedCamera(_sensor(rig), world, seed=rig.camera.seed)
     projector = SimulatedProjector(

@@ -21,6 +21,7 @@ from drivers.waiting import SLICE_S, CancelToken
 from labrig.errors import LabrigError, RunError
 from labrig.finishing import finish_devices, finish_session, undisturbed
 from labrig.keeper import Keeper
+from labrig.latency import check_latency
 from labrig.models.plan import Shot
 from labrig.plan import CapturePlan, blocks_of
 from labrig.preflight import Verdict, refuse
@@ -149,10 +150,13 @@ class Runner:
 
     def _arm(self) -> None:
         self._go(State.ARMING)
+        checked = check_latency(self._rig, self._cancel)
         self._writer = self._open_session()
         self._taken = set(self._writer.progress.saved)
         self._attempts.update(self._writer.progress.last_attempt)
         self._keeper = Keeper(self._writer)
+        if checked:
+            self._note(checked, {})
         self._sequencer = self.references.sequencer(self._expanded, self._step)
         self._set(saved=len(self._taken), eta_s=self._eta_s())
         for text, details in self.references.warm_up(self._sequencer, self._cancel):
@@ -250,9 +254,9 @@ class Runner:
         if cause in _REARM or (cause == Cause.DUPLICATE and counts[cause] == 2):
             self._recover(block, str(error))
             return False
-        if cause == Cause.WRONG_EXPOSURE:
+        if cause is Cause.WRONG_EXPOSURE:
             sequencer.forget_exposure()
-        return True
+        return cause is not Cause.WRONG_PATTERN
 
     def _recover(self, block: tuple[Shot, ...], why: str) -> None:
         """Close and open the devices again; pause where they do not come back."""

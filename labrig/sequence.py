@@ -12,7 +12,6 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.camera.protocol import CameraSettings, Frame
 from drivers.errors import (
@@ -25,26 +24,14 @@ from drivers.errors import (
 from drivers.projector.protocol import PatternHandle, ShowReceipt
 from drivers.waiting import CancelToken
 from labrig.errors import RunError
+from labrig.looks import Cause, Looks
 from labrig.models.plan import Shot
 from labrig.rig import OpenRig
 from labrig.session_format import pixel_digest
 
+__all__ = ["AttemptError", "Cause", "Sequencer", "Step", "Taken"]
+
 MARGIN_S = 1.0  # what a device may need beyond the exposure before it counts as silent
-RATIO_TOLERANCE = 0.03  # of brightness between two brackets of one pattern
-THINNING = 8  # every eighth pixel in both directions is enough for a ratio
-ENOUGH_PIXELS = 50
-
-
-class Cause(StrEnum):
-    """Why an attempt gave no frame; each has its own counter and its own remedy."""
-
-    NOT_FIRED = "trigger-not-fired"
-    NO_FRAME = "no-frame"
-    EARLY = "early"
-    DUPLICATE = "duplicate"
-    CORRUPT = "corrupt"
-    WRONG_EXPOSURE = "wrong-exposure"
-    DEVICE_LOST = "device-lost"
 
 
 class Step(StrEnum):
@@ -103,14 +90,15 @@ class Sequencer:
     discard: int
     gain_db: float = 0.0
     on_step: Callable[[str, Step], None] = lambda _shot, _step: None
+    looks: Looks = field(init=False)
     _settings: CameraSettings | None = None
     _receipt: ShowReceipt | None = None
     _shown: tuple[str | None, str] | None = None
     _last_sequence: int = 0
     _last_pixels: str = ""
-    _brackets: dict[tuple[str, str | None], tuple[float, NDArray[np.uint16]]] = field(
-        default_factory=dict
-    )
+
+    def __post_init__(self) -> None:
+        self.looks = Looks(self.rig)
 
     def forget(self) -> None:
         """Assume nothing about the devices: after a recovery or a pause."""
@@ -302,17 +290,10 @@ class Sequencer:
         if found is not None:
             cause, message = found
             raise AttemptError(cause, f"shot {shot.id}: {message}", frame=frame, details=details)
-        ratio = self._ratio(shot, frame)
-        if ratio is not None:
-            details["bracket_ratio"] = ratio
-            if abs(ratio - 1.0) > RATIO_TOLERANCE:
-                msg = (
-                    f"shot {shot.id}: the frame is {ratio:.3f} times as bright as its "
-                    "neighbour bracket lets expect; the exposure is not the one reported."
-                )
-                raise AttemptError(Cause.WRONG_EXPOSURE, msg, frame=frame, details=details)
-        thin = frame.pixels[::THINNING, ::THINNING].copy()
-        self._brackets[shot.set, shot.pattern] = (shot.exposure_s, thin)
+        doubt = self.looks.doubt(shot, frame.pixels, details)
+        if doubt is not None:
+            cause, message = doubt
+            raise AttemptError(cause, f"shot {shot.id}: {message}", frame=frame, details=details)
 
     def _fault(
         self, shot: Shot, frame: Frame, details: Mapping[str, Any]
@@ -354,22 +335,6 @@ class Sequencer:
     @property
     def _stamps_are_times(self) -> bool:
         return self.rig.camera_can.timestamp_source in ("start", "end")
-
-    def _ratio(self, shot: Shot, frame: Frame) -> float | None:
-        """Return brightness over what the neighbour bracket lets expect; None if too dark."""
-        if (shot.set, shot.pattern) not in self._brackets or shot.shutter == "covered":
-            return None
-        before_s, before = self._brackets[shot.set, shot.pattern]
-        if before_s == shot.exposure_s:
-            return None
-        black, white = self.rig.black_level_dn, self.rig.camera_can.white_level_dn
-        now = frame.pixels[::THINNING, ::THINNING]
-        usable = (now < 0.95 * white) & (before < 0.95 * white)
-        usable &= np.minimum(now, before) > black + 0.05 * (white - black)
-        if usable.sum() < ENOUGH_PIXELS:
-            return None
-        brighter = (now[usable] - black).sum() / (before[usable] - black).sum()
-        return float(brighter * before_s / shot.exposure_s)
 
 
 def _exposed(frame: Frame, shot: Shot) -> bool:

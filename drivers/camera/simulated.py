@@ -46,6 +46,10 @@ class _Exposed:
     flagged: bool
 
 
+def _arrival(exposed: _Exposed) -> float:
+    return exposed.arrival_s
+
+
 class SimulatedCamera:
     """A camera that sees what the world shows while it exposes."""
 
@@ -61,7 +65,7 @@ class SimulatedCamera:
         self._sequence = 0
         self._pulses = 0
         self._next_begin_s = 0.0
-        self._coming: deque[_Exposed] = deque()
+        self._coming: list[_Exposed] = []
         self._queue: deque[_Exposed] = deque()
         self._last: Frame | None = None
         self._stamps = np.random.default_rng([seed, 1])
@@ -204,10 +208,11 @@ class SimulatedCamera:
         now = self._world.clock.now_s()
         while self._mode == "free-run" and self._next_begin_s <= now:
             self._begin(self._next_begin_s)
-        while self._coming and self._coming[0].arrival_s <= now:
-            arrived = self._coming.popleft()
+        arrived = sorted((e for e in self._coming if e.arrival_s <= now), key=_arrival)
+        self._coming = [e for e in self._coming if e.arrival_s > now]
+        for exposed in arrived:
             if len(self._queue) < self._sensor.queue_depth:
-                self._queue.append(arrived)
+                self._queue.append(exposed)
 
     def _begin(self, begin_s: float) -> None:
         """Begin an exposure, unless one is still going on."""

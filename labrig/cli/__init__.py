@@ -10,8 +10,11 @@ from analysis.errors import AnalysisError
 from calibration.errors import CalibrationError
 from drivers.errors import DriverError
 from labrig.cli.analyse import analyse, report
-from labrig.cli.capture import capture, import_, verify
+from labrig.cli.calibrate import calibrate
+from labrig.cli.capture import capture, import_, ls, resume, verify
+from labrig.cli.check import check
 from labrig.cli.demo import demo
+from labrig.cli.doctor import doctor
 from labrig.cli.exits import EXIT_BAD_INPUT, EXIT_DAMAGED, EXIT_DEVICE, EXIT_INTERRUPTED
 from labrig.cli.schema import schema
 from labrig.errors import LabrigError, RunError, SessionError
@@ -23,9 +26,10 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-for command in (demo, capture, verify, analyse, report, schema):
+for command in (demo, check, capture, resume, verify, ls, analyse, report, doctor, schema):
     app.command()(command)
 app.command(name="import")(import_)
+app.add_typer(calibrate, name="calibrate")
 
 
 def main() -> None:

@@ -7,10 +7,16 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.table import Table
 
 import labrig
+from labrig.capturing import plan_of, prepare, prepare_resume, rig_of
+from labrig.catalogue import catalogue
 from labrig.cli.exits import EXIT_DAMAGED
-from labrig.cli.say import AsJson, bars, one, say, say_json, say_session
+from labrig.cli.live import drive
+from labrig.cli.say import AsJson, bars, one, out_console, say, say_json, say_session
+from labrig.rig import open_rig
+from labrig.session import Session
 
 
 def capture(
@@ -18,15 +24,29 @@ def capture(
     rig: Annotated[Path, typer.Option(help="Rig file.")],
     scene: Annotated[Path, typer.Option(help="Scene file, for a simulated rig.")],
     out: Annotated[Path, typer.Option("--out", help="Data root.")] = Path("sessions"),
+    operator: Annotated[str | None, typer.Option(help="Who captures; kept in the session.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Run a capture plan and keep it as a session."""
     wanted = labrig.load_plan(plan)
-    with (
-        bars() as follow,
-        labrig.open_rig(rig, scene, wanted, progress=one(follow, "light")) as opened,
-    ):
-        path = labrig.capture(wanted, opened, out, progress=one(follow, "capture"))
+    with bars() as follow:
+        opened = labrig.open_rig(rig, scene, wanted, progress=one(follow, "light"))
+    with opened:
+        path = drive(prepare(wanted, opened, out, operator=operator))
+    say_session(path, as_json)
+
+
+def resume(
+    session: Annotated[Path, typer.Argument(help="Session folder.")], as_json: AsJson = False
+) -> None:
+    """Take the shots that an interrupted session lacks."""
+    found = Session.open(session)
+    wanted = plan_of(found.header, session)
+    rig, scene, latency = rig_of(found.header, session)
+    with bars() as follow:
+        opened = open_rig(rig, scene, wanted, latency=latency, progress=one(follow, "light"))
+    with opened:
+        path = drive(prepare_resume(session, opened))
     say_session(path, as_json)
 
 
@@ -54,3 +74,23 @@ def verify(
             say(f"{problem.file}: {problem.what}")
         say(f"{session}: {len(problems)} problems" if problems else f"{session}: whole")
     return EXIT_DAMAGED if problems else 0
+
+
+def ls(
+    root: Annotated[Path, typer.Argument(help="Data root.")] = Path("sessions"),
+    as_json: AsJson = False,
+) -> None:
+    """List the sessions below a data root, and how each stands."""
+    entries = catalogue(root)
+    if as_json:
+        say_json([asdict(entry) for entry in entries])
+        return
+    table = Table()
+    for heading in ("session", "state", "saved", "segments", "MB"):
+        right = heading in ("saved", "segments", "MB")
+        table.add_column(heading, justify="right" if right else "left", overflow="fold")
+    for entry in entries:
+        saved = f"{entry.saved}/{entry.planned}"
+        size = f"{entry.bytes / 1e6:.1f}"
+        table.add_row(entry.path, entry.state, saved, str(entry.segments), size)
+    out_console.print(table)

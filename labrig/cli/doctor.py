@@ -1,0 +1,29 @@
+"""The command that looks at the machine."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import labrig
+from labrig.cli.say import AsJson, say, say_json
+from labrig.doctor import examine
+
+
+def doctor(
+    rig: Annotated[Path | None, typer.Option(help="Rig file.")] = None,
+    out: Annotated[Path, typer.Option("--out", help="Data root.")] = Path("sessions"),
+    as_json: AsJson = False,
+) -> None:
+    """Say what is present, missing or misconfigured, and the command that mends it."""
+    found = examine(out, None if rig is None else labrig.load_rig(rig))
+    if as_json:
+        say_json([asdict(finding) for finding in found])
+        return
+    for finding in found:
+        say(f"{'ok' if finding.ok else 'missing':8}{finding.name}: {finding.text}")
+        if not finding.ok and finding.remedy:
+            say(f"{'':8}  to mend: {finding.remedy}")

@@ -1,0 +1,104 @@
+"""What a picture itself says against its exposure or its pattern, where clocks cannot tell."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrig.models.plan import Shot
+from labrig.rig import OpenRig
+
+RATIO_TOLERANCE = 0.03  # of brightness between two brackets of one pattern
+SAMPLE = 20_000  # pixels at random places: a regular grid of them could fit the stripes' period
+ENOUGH_PIXELS = 50
+ALIKE, DIFFERENT = 2.0, 8.0  # chi^2 of two frames: one pattern gives 1, two that can be told more
+
+
+class Cause(StrEnum):
+    """Why an attempt gave no frame; each has its own counter and its own remedy."""
+
+    NOT_FIRED = "trigger-not-fired"
+    NO_FRAME = "no-frame"
+    EARLY = "early"
+    DUPLICATE = "duplicate"
+    CORRUPT = "corrupt"
+    WRONG_EXPOSURE = "wrong-exposure"
+    WRONG_PATTERN = "wrong-pattern"
+    DEVICE_LOST = "device-lost"
+
+
+class Looks:
+    """Remembers accepted pictures, thinned, and holds new ones to them."""
+
+    def __init__(self, rig: OpenRig) -> None:
+        self._rig = rig
+        self._brackets: dict[tuple[str, str | None], tuple[float, NDArray[np.float64]]] = {}
+        self._last: tuple[Shot, NDArray[np.float64]] | None = None
+        self._visible: set[str] = set()
+        self._at: tuple[int, NDArray[np.int64]] | None = None
+
+    def doubt(
+        self, shot: Shot, pixels: NDArray[np.uint16], details: dict[str, Any]
+    ) -> tuple[Cause, str] | None:
+        """Return what speaks against a picture; None if nothing does, and then remember it.
+
+        Two ways: against the same pattern at the neighbour bracket, the brightness must follow
+        the exposure; against the shot before, a new pattern must be seen to have come, in a set
+        whose patterns have been told apart before.
+        """
+        thin = pixels.ravel()[self._places(pixels.size)].astype(np.float64)
+        ratio = self._ratio(shot, thin)
+        if ratio is not None:
+            details["bracket_ratio"] = ratio
+            if abs(ratio - 1.0) > RATIO_TOLERANCE:
+                return Cause.WRONG_EXPOSURE, (
+                    f"the frame is {ratio:.3f} times as bright as its neighbour bracket lets "
+                    "expect; the exposure is not the one reported."
+                )
+        chi2 = self._chi2(shot, thin)
+        if chi2 is not None:
+            details["change_chi2"] = chi2
+            if chi2 < ALIKE and shot.set in self._visible:
+                return Cause.WRONG_PATTERN, (
+                    f"the picture is that of shot {self._last[0].id if self._last else ''} (chi^2 "
+                    f"{chi2:.2f}), though the pattern is another; the projector did not change."
+                )
+            if chi2 > DIFFERENT and self._last is not None and self._last[0].set == shot.set:
+                self._visible.add(shot.set)
+        self._brackets[shot.set, shot.pattern] = (shot.exposure_s, thin)
+        self._last = (shot, thin)
+        return None
+
+    def _places(self, size: int) -> NDArray[np.int64]:
+        if self._at is None or self._at[0] != size:
+            rng = np.random.default_rng(size)
+            n = min(size, SAMPLE)
+            self._at = (size, np.sort(rng.choice(size, n, replace=False, shuffle=False)))
+        return self._at[1]
+
+    def _ratio(self, shot: Shot, now: NDArray[np.float64]) -> float | None:
+        """Return brightness over what the neighbour bracket lets expect; None if too dark."""
+        before_s, before = self._brackets.get((shot.set, shot.pattern), (shot.exposure_s, now))
+        if before_s == shot.exposure_s or shot.shutter == "covered":
+            return None
+        black, white = self._rig.black_level_dn, self._rig.camera_can.white_level_dn
+        usable = (now < 0.95 * white) & (before < 0.95 * white)
+        usable &= np.minimum(now, before) > black + 0.05 * (white - black)
+        if usable.sum() < ENOUGH_PIXELS:
+            return None
+        brighter = (now[usable] - black).sum() / (before[usable] - black).sum()
+        return float(brighter * before_s / shot.exposure_s)
+
+    def _chi2(self, shot: Shot, now: NDArray[np.float64]) -> float | None:
+        """Return the squared difference to the frame before over noise; None if not comparable."""
+        if self._last is None:
+            return None
+        last, before = self._last
+        same_scene = last.exposure_s == shot.exposure_s and last.shutter == shot.shutter
+        if last.pattern == shot.pattern or not same_scene or shot.shutter == "covered":
+            return None
+        variance = self._rig.variance_dn2(now) + self._rig.variance_dn2(before)
+        return float(np.mean((now - before) ** 2 / variance))
