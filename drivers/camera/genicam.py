@@ -39,6 +39,7 @@ class GenicamSettings:
     ----------
     device : its serial number, or its name as ``labrig devices`` lists it
     pixel_format : None for the deepest grey format it has
+    size : width and height of the picture, px, from the sensor's first corner; None for all
     trigger_line : the input that an external edge comes in at
     exposure_latency_frames : frames in free run that may still have the old exposure
     readout_s : from the end of an exposure to the arrival of its frame, at most
@@ -47,6 +48,7 @@ class GenicamSettings:
 
     device: str
     pixel_format: str | None = None
+    size: tuple[int, int] | None = None
     trigger_line: str = "Line1"
     exposure_latency_frames: int = 2
     readout_s: float = 0.2
@@ -281,14 +283,24 @@ class GenicamCamera:
 
     def _whole_sensor(self) -> tuple[int, int]:
         camera = self._camera
-        (_, width), (_, height) = camera.get_width_bounds(), camera.get_height_bounds()
+        _, _, width, height = self._default_region()
         camera.set_region(0, 0, width, height)
+        if tuple(camera.get_region())[2:] != (width, height):
+            msg = f"size {width}x{height} was asked, the camera took {camera.get_region()[2:]}."
+            raise SettingRefusedError(msg)
         return height, width
 
+    def _default_region(self) -> tuple[int, int, int, int]:
+        if self._settings.size is not None:
+            return (0, 0, *self._settings.size)
+        (_, width), (_, height) = (
+            self._camera.get_width_bounds(),
+            self._camera.get_height_bounds(),
+        )
+        return 0, 0, width, height
+
     def _apply_picture(self, camera: Any, settings: CameraSettings) -> None:
-        _, width = camera.get_width_bounds()
-        _, height = camera.get_height_bounds()
-        wanted = settings.roi or (0, 0, width, height)
+        wanted = settings.roi or self._default_region()
         present = tuple(camera.get_region())
         name = settings.pixel_format or self._settings.pixel_format or self._format.name
         if present == wanted and name == self._format.name:

@@ -261,14 +261,16 @@ class V4l2Camera:
                 "kernel: data were lost on the way; check cable and bandwidth."
             )
             raise FrameCorruptError(msg)
-        f = self._format
+        f, arrival_s = self._format, time.monotonic()
         start, end = self._exposed(filled)
+        if end is not None:
+            end = min(end, arrival_s)  # the exposure may be known as an upper bound only
         return Frame(
             pixels=decode(filled.content, self._pixels, f.height, f.width, f.stride),
             sequence=filled.sequence,
             t_start_s=start,
             t_end_s=end,
-            t_arrival_s=time.monotonic(),
+            t_arrival_s=arrival_s,
             uncertainty_s=self._settings.uncertainty_s,
             extras={"stamp_s": filled.stamp_s, "lost_before": lost, "note": self._pixels.note},
         )

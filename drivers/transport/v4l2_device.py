@@ -126,7 +126,13 @@ class VideoDevice:
     def _crop(self, roi: Roi) -> None:
         request = v4l2.Selection(type=v4l2.CAPTURE, target=v4l2.SEL_TGT_CROP)
         request.rectangle[:] = roi
-        self.node.call(v4l2.S_SELECTION, request)
+        try:
+            self.node.call(v4l2.S_SELECTION, request)
+        except OSError as error:
+            if error.errno == errno.ENODEV:
+                raise
+            msg = f"region {roi} asked, this camera offers none"
+            raise UnfitError(msg) from error
         taken = self._selection(v4l2.SEL_TGT_CROP)
         if taken != roi:
             msg = f"region {roi} asked, {taken} taken"

@@ -17,6 +17,26 @@ from emulated.needs import need
 DESKTOP = (0xC0, 0x80, 0x40)
 
 
+class FrameBuffer:
+    """What an X server shows, read from the file it keeps its picture in."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("rb")
+        self._memory = mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ)
+
+    def grab(self, x: int, width: int, height: int) -> NDArray[np.uint8]:
+        """Return a part of the top rows, (rows, cols, 3) red, green, blue."""
+        fields = struct.unpack_from(">25I", self._memory)
+        rows, stride, offset = fields[5], fields[12], fields[0] + 12 * fields[19]
+        whole = np.frombuffer(self._memory, np.uint8, rows * stride, offset).reshape(rows, -1, 4)
+        return whole[:height, x : x + width, 2::-1].copy()
+
+    def close(self) -> None:
+        """Let the file go."""
+        self._memory.close()
+        self._file.close()
+
+
 class XServer:
     """Xvfb with a bright desktop of two outputs side by side, ``LEFT`` and ``PROJ``."""
 
@@ -37,8 +57,8 @@ class XServer:
         os.close(write)
         with os.fdopen(read) as answer:
             self.display = f":{answer.readline().strip()}"
-        self._file = (folder / "Xvfb_screen0").open("rb")
-        self._frame = mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ)
+        self.path = folder / "Xvfb_screen0"
+        self._frame = FrameBuffer(self.path)
         self._xrandr("LEFT", *left, 0, "screen")
         self._xrandr("PROJ", *right, left[0], "none")
         colour = "#{:02x}{:02x}{:02x}".format(*DESKTOP)
@@ -50,12 +70,8 @@ class XServer:
 
     def grab(self, output: str = "PROJ") -> NDArray[np.uint8]:
         """Return what an output shows, (rows, cols, 3) red, green, blue."""
-        fields = struct.unpack_from(">25I", self._frame)
-        rows, stride, offset = fields[5], fields[12], fields[0] + 12 * fields[19]
-        whole = np.frombuffer(self._frame, np.uint8, rows * stride, offset).reshape(rows, -1, 4)
         width, height = self.right if output == "PROJ" else self.left
-        x = self.left[0] if output == "PROJ" else 0
-        return whole[:height, x : x + width, 2::-1].copy()
+        return self._frame.grab(self.left[0] if output == "PROJ" else 0, width, height)
 
     def shows_desktop(self, output: str = "PROJ") -> bool:
         """Return whether an output shows its bright desktop, but for the pointer's 16 x 16 px."""
@@ -75,7 +91,6 @@ class XServer:
         self._process.terminate()
         self._process.wait(timeout=10)
         self._frame.close()
-        self._file.close()
 
     def _xrandr(self, name: str, width: int, height: int, x: int, output: str) -> None:
         geometry = f"{width}/{width // 4}x{height}/{height // 4}+{x}+0"
