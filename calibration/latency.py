@@ -38,7 +38,7 @@ class Flip:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlipTimes:
-    """Latency of one flip, and how long the light then took to be steady, s."""
+    """Latency of one flip, and after how long the light was surely steady, s."""
 
     latency_s: float
     settle_s: float
@@ -79,10 +79,10 @@ def times_of(flip: Flip) -> FlipTimes:
     first = int(np.argmax(share > 0.02))
     change_s = flip.starts_s[first] + (1.0 - share[first]) * flip.exposure_s
     unsteady = np.flatnonzero(np.abs(flip.brightness_dn - new) > STEADY * abs(new - old))
-    last = int(unsteady[-1]) if unsteady.size else first
-    settle_s = flip.starts_s[last] + flip.exposure_s - change_s if last > first else 0.0
+    last = max(int(unsteady[-1]), first) if unsteady.size else first
     return FlipTimes(
-        latency_s=float(change_s - flip.requested_s), settle_s=float(max(settle_s, 0.0))
+        latency_s=float(change_s - flip.requested_s),
+        settle_s=float(max(flip.starts_s[last] + flip.exposure_s - change_s, 0.0)),
     )
 
 
@@ -106,6 +106,7 @@ def estimate_latency(flips: Sequence[Flip], *, refresh_s: float) -> Latency:
     return Latency(
         earliest_s=max(min(latency_s.min(), mean - TAIL * jitter_s) - refresh_s, 0.0),
         latest_s=max(latency_s.max(), mean + TAIL * jitter_s) + refresh_s,
+        # each flip bounds the settling by the end of a frame; the widest is safe
         settle_s=max(times.settle_s for times in found),
         jitter_s=jitter_s,
         timestamps=_meaning(np.array([flip.exposure_s for flip in flips]), latency_s),

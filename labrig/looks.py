@@ -31,13 +31,17 @@ class Cause(StrEnum):
 
 
 class Looks:
-    """Remembers accepted pictures, thinned, and holds new ones to them."""
+    """Remembers accepted pictures, thinned, and holds new ones to them.
+
+    ``lamp`` is the light of the last reference, as a share of the first.
+    """
 
     def __init__(self, rig: OpenRig) -> None:
         self._rig = rig
-        self._brackets: dict[tuple[str, str | None], tuple[float, NDArray[np.float64]]] = {}
+        self._brackets: dict[tuple[str, str | None], tuple[float, float, NDArray[np.float64]]] = {}
         self._last: tuple[Shot, NDArray[np.float64]] | None = None
         self._visible: set[str] = set()
+        self.lamp = 1.0
         self._at: tuple[int, NDArray[np.int64]] | None = None
 
     def doubt(
@@ -68,7 +72,7 @@ class Looks:
                 )
             if chi2 > DIFFERENT and self._last is not None and self._last[0].set == shot.set:
                 self._visible.add(shot.set)
-        self._brackets[shot.set, shot.pattern] = (shot.exposure_s, thin)
+        self._brackets[shot.set, shot.pattern] = (shot.exposure_s, self.lamp, thin)
         self._last = (shot, thin)
         return None
 
@@ -81,7 +85,8 @@ class Looks:
 
     def _ratio(self, shot: Shot, now: NDArray[np.float64]) -> float | None:
         """Return brightness over what the neighbour bracket lets expect; None if too dark."""
-        before_s, before = self._brackets.get((shot.set, shot.pattern), (shot.exposure_s, now))
+        unknown = (shot.exposure_s, self.lamp, now)
+        before_s, lamp, before = self._brackets.get((shot.set, shot.pattern), unknown)
         if before_s == shot.exposure_s or shot.shutter == "covered":
             return None
         black, white = self._rig.black_level_dn, self._rig.camera_can.white_level_dn
@@ -90,7 +95,7 @@ class Looks:
         if usable.sum() < ENOUGH_PIXELS:
             return None
         brighter = (now[usable] - black).sum() / (before[usable] - black).sum()
-        return float(brighter * before_s / shot.exposure_s)
+        return float(brighter * before_s * lamp / (shot.exposure_s * self.lamp))
 
     def _chi2(self, shot: Shot, now: NDArray[np.float64]) -> float | None:
         """Return the squared difference to the frame before over noise; None if not comparable."""

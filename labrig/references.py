@@ -101,6 +101,7 @@ class References:
         if not before_dn:
             return Measured(levels=levels, changed=False, text=f"reference light {light_dn:.1f} DN")
         change = light_dn / before_dn - 1.0
+        sequencer.looks.lamp *= light_dn / before_dn
         changed = abs(change) > self._plan.limits.reference_drift
         text = f"reference light {light_dn:.1f} DN, {100 * change:+.2f} % since the last one"
         if changed:

@@ -14,7 +14,7 @@ from labrig.models.plan import Plan
 from labrig.models.rig import Rig
 from labrig.models.scene import Scene
 from labrig.rig import OpenRig, connect
-from labrig.run_state import Command, Event, State
+from labrig.run_state import TAKES, Command, Event, State
 from labrig.runner import Finish, Runner
 from labrig.session import Session
 
@@ -98,7 +98,10 @@ def run(
         if events is not None:
             events.append(event)
         if event.kind == "state" and event.status.state is State.PAUSED:
-            runner.post(left.pop(0) if left else Command.ABORT)
+            answer = left.pop(0) if left else Command.ABORT
+            runner.post(answer)
+            if State.PAUSED not in TAKES[answer]:
+                runner.post(Command.ABORT)
 
     runner.subscribe(hear)
     runner.post(Command.START)

@@ -1,0 +1,263 @@
+"""Every transition and every command in every state; no way to a stuck or an unsafe rig."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from pathlib import Path
+
+import pytest
+import toy
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from drivers.simulation.faults import FaultKind
+from labrig.run_state import ENDS, NEXT, TAKES, Command, Event, State
+from labrig.sequence import Step
+from labrig.session import Session, verify
+from labrig.session_lock import holder
+
+SHOT = "stripes-e0-r0-p02"
+WAITS = 20.0  # s of real time, after which a run counts as stuck
+
+
+def dark_and_let_go(rig, runner) -> None:
+    """The rig shows black or nothing, the camera takes no frames, the session has no writer."""
+    assert rig.projector.current() is None
+    assert rig.camera._mode is None
+    assert runner._writer is None or holder(runner.path) is None
+
+
+def run_in_thread(runner, **how):
+    """Run in a thread, which must end."""
+    ended = []
+    thread = threading.Thread(target=lambda: ended.append(toy.run(runner, **how)), daemon=True)
+    thread.start()
+    thread.join(WAITS)
+    assert ended, f"stuck in {runner.status}"
+    return ended[0]
+
+
+def post_when(runner, condition, *commands: Command) -> None:
+    """Post commands once, when an event first fulfils a condition."""
+    done: list[bool] = []
+
+    def hear(event: Event) -> None:
+        if not done and condition(event):
+            done.append(True)
+            for command in commands:
+                runner.post(command)
+
+    runner.subscribe(hear)
+
+
+def reaches(state: State):
+    return lambda event: event.kind == "state" and event.status.state is state
+
+
+FAULT_FOR = {
+    State.PAUSED: {"kind": "drop", "shot": SHOT, "times": 3},
+    State.RECOVERING: {"kind": "camera-lost", "shot": SHOT},
+}
+
+
+@pytest.mark.parametrize("command", Command)
+@pytest.mark.parametrize("state", [s for s in State if s not in ENDS and s is not State.IDLE])
+def test_every_command_in_every_state_leads_to_a_safe_end(state, command, tmp_path: Path) -> None:
+    faults = [FAULT_FOR[state]] if state in FAULT_FOR else []
+    events: list[Event] = []
+    with toy.rig_of(*faults) as rig:
+        runner = toy.prepare(toy.plan_of(), rig, tmp_path)
+        post_when(runner, reaches(state), command)
+        finish, session = run_in_thread(runner, events=events)
+        dark_and_let_go(rig, runner)
+    path = [e.status.state for e in events if e.kind == "state"]
+    assert state in path
+    for before, after in zip([State.IDLE, *path], path, strict=False):
+        assert after in NEXT[before]
+    if command is Command.ABORT and state is not State.FINISHING:
+        assert finish.status.state is State.ABORTED
+    elif state is State.PAUSED and command not in (Command.RESUME, Command.RETRY):
+        assert finish.status.state in (State.ABORTED, State.COMPLETED)
+    if session is not None and finish.status.state is State.COMPLETED:
+        skipped = {f"stripes-e0-r0-p{p:02d}" for p in range(4)}
+        missing = set(session.missing)
+        assert missing == set() or (command is Command.SKIP_GROUP and missing <= skipped | missing)
+        assert all(p.what.startswith("is planned") for p in verify(session.path))
+
+
+def test_every_transition_is_seen(tmp_path: Path) -> None:
+    """The table holds no transition that a run cannot make, but those of an abort in a state."""
+    assert set(NEXT) | ENDS == set(State)
+    assert all(State.FINISHING in NEXT[s] for s in NEXT if s is not State.FINISHING)
+    assert set(TAKES) == set(Command)
+
+
+def test_abort_after_group_ends_at_the_groups_end(tmp_path: Path) -> None:
+    with toy.rig_of() as rig:
+        runner = toy.prepare(toy.plan_of(), rig, tmp_path)
+        post_when(runner, lambda e: e.status.shot == SHOT, Command.ABORT_AFTER_GROUP)
+        finish, session = run_in_thread(runner)
+    assert finish.status.state is State.ABORTED
+    assert set(session.frames) == {f"stripes-e0-r0-p{p:02d}" for p in range(4)}
+
+
+def test_skipped_group_is_missing_and_the_rest_is_there(tmp_path: Path) -> None:
+    with toy.rig_of() as rig:
+        runner = toy.prepare(toy.plan_of(), rig, tmp_path)
+        post_when(runner, lambda e: e.status.shot == SHOT, Command.SKIP_GROUP)
+        finish, session = run_in_thread(runner)
+    assert finish.status.state is State.COMPLETED
+    assert "stripes-e0-r0-p03" in session.missing
+    assert "stripes-e1-r0-p03" in session.frames
+
+
+def test_lamp_that_changed_during_a_pause_begins_a_segment(tmp_path: Path) -> None:
+    lamp = {"lamp": {"drift_per_h": -0.5}}
+    with toy.rig_of(simulation=lamp) as rig:
+        runner = toy.prepare(toy.plan_of(), rig, tmp_path)
+        post_when(runner, lambda e: e.status.shot == "white-e0-r0", Command.PAUSE)
+        runner.subscribe(lambda e: reaches(State.PAUSED)(e) and rig.clock.sleep(600.0))
+        finish, session = toy.run(runner, Command.RESUME)
+    assert finish.status.state is State.COMPLETED
+    (segment,) = [e for e in session.events if e["event"] == "segment"]
+    assert "since the last one" in segment["reason"]
+    groups: dict[str, set[int]] = {}
+    for shot in session.shots:
+        line = session.frames[shot["id"]].details
+        groups.setdefault(shot["group"], set()).add(line["segment"])
+    assert all(len(segments) == 1 for segments in groups.values())
+
+
+@pytest.mark.parametrize("step", [Step.SETTLE, Step.COLLECT])
+def test_abort_reaches_into_waits_of_a_real_clock(step, tmp_path: Path) -> None:
+    slow = {"exposures": {"bracket_s": [5.0]}, "timing": {"settle_s": 5.0}}
+    with toy.rig_of(simulation={"clock": "real"}) as rig:
+        runner = toy.prepare(toy.plan_of(**slow), rig, tmp_path)
+        runner.references.measure = lambda *_: type(
+            "M", (), {"text": "", "levels": {}, "changed": False}
+        )
+        thread = threading.Thread(target=lambda: toy.run(runner), daemon=True)
+        thread.start()
+        begun = time.monotonic()
+        wanted = Step.SETTLE if step is Step.SETTLE else Step.COLLECT
+        while runner.status.step is not wanted and time.monotonic() - begun < WAITS:
+            time.sleep(0.01)
+        asked = time.monotonic()
+        runner.post(Command.ABORT)
+        thread.join(WAITS)
+        took_s = time.monotonic() - asked
+        assert runner.status.state is State.ABORTED
+        dark_and_let_go(rig, runner)
+    # measured 0.03 s
+    assert took_s < 0.5
+
+
+def test_ctrl_c_twice_does_no_harm(tmp_path: Path) -> None:
+    with toy.rig_of() as rig:
+        runner = toy.prepare(toy.plan_of(), rig, tmp_path)
+
+        def hear(event: Event) -> None:
+            if event.status.shot == SHOT and event.status.state is State.RUNNING:
+                raise_once()
+            if event.kind == "state" and event.status.state is State.FINISHING:
+                signal.raise_signal(signal.SIGINT)
+
+        raised: list[bool] = []
+
+        def raise_once() -> None:
+            if not raised:
+                raised.append(True)
+                signal.raise_signal(signal.SIGINT)
+
+        runner.subscribe(hear)
+        runner.post(Command.START)
+        finish = runner.run()
+        dark_and_let_go(rig, runner)
+    assert finish.status.state is State.ABORTED
+    assert isinstance(finish.error, KeyboardInterrupt)
+    assert Session.open(runner.path).sealed
+
+
+def test_listener_that_fails_does_not_stop_the_run(tmp_path: Path) -> None:
+    with toy.rig_of() as rig:
+        runner = toy.prepare(toy.plan_of(), rig, tmp_path)
+        runner.subscribe(lambda _: 1 / 0)
+        finish, _ = toy.run(runner)
+    assert finish.status.state is State.COMPLETED
+    assert any("ZeroDivisionError" in text for text in runner.problems)
+
+
+def test_device_that_cannot_be_made_safe_is_told_and_hides_nothing(tmp_path, monkeypatch) -> None:
+    with toy.rig_of() as rig:
+        runner = toy.prepare(toy.plan_of(), rig, tmp_path)
+
+        def fail() -> None:
+            msg = "the wire is cut"
+            raise OSError(msg)
+
+        monkeypatch.setattr(rig.projector, "make_safe", fail)
+        finish, session = toy.run(runner)
+        assert rig.camera._mode is None
+    assert finish.status.state is State.COMPLETED
+    assert any("the wire is cut" in text for text in runner.problems)
+    assert session.sealed
+
+
+KINDS = sorted(set(FaultKind.__args__) - {"kill", "disk-full", "delay", "projector-late"})
+SHOTS = [f"stripes-e{e}-r0-p{p:02d}" for e in range(2) for p in range(4)]
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(
+    faults=st.lists(
+        st.fixed_dictionaries(
+            {
+                "kind": st.sampled_from(KINDS),
+                "shot": st.sampled_from([*SHOTS, None]),
+                "times": st.integers(1, 4),
+            }
+        ),
+        max_size=3,
+    ),
+    posts=st.lists(st.tuples(st.integers(1, 150), st.sampled_from(list(Command))), max_size=4),
+    answers=st.lists(st.sampled_from(list(Command)), max_size=3),
+    trigger=st.sampled_from(["software", "simulated", "free-run"]),
+)
+def test_no_way_to_a_stuck_or_unsafe_rig(faults, posts, answers, trigger, tmp_path_factory) -> None:
+    out = tmp_path_factory.mktemp("any")
+    with toy.rig_of(*faults, trigger={"driver": trigger}) as rig:
+        runner = toy.prepare(toy.plan_of(), rig, out)
+        events: list[Event] = []
+        due = sorted(posts, key=lambda post: post[0])
+
+        def hear(event: Event) -> None:
+            events.append(event)
+            while due and due[0][0] <= len(events):
+                runner.post(due.pop(0)[1])
+
+        runner.subscribe(hear)
+        ended: list = []
+        thread = threading.Thread(
+            target=lambda: ended.append(toy.run(runner, *answers)), daemon=True
+        )
+        thread.start()
+        thread.join(WAITS)
+        assert ended, f"stuck in {runner.status}"
+        finish, session = ended[0]
+        assert finish.status.state in ENDS
+        dark_and_let_go(rig, runner)
+    path = [e.status.state for e in events if e.kind == "state"]
+    for before, after in zip([State.IDLE, *path], path, strict=False):
+        assert after in NEXT[before]
+    if session is not None:
+        told = [p for p in verify(session.path) if not p.what.startswith(("is planned", "not se"))]
+        assert told == []
+        # a frame is counted once, and each attempt without one is explained
+        lines = [e for e in session.events if e["event"] in ("commit", "reject")]
+        assert len(lines) == len({(e["event"], e["shot"], e["attempt"]) for e in lines})
+        for frame in session.frames.values():
+            assert frame.details["exposure_asked_s"] == pytest.approx(
+                frame.details["exposure_reported_s"], rel=1e-3
+            )
