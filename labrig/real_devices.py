@@ -151,6 +151,16 @@ def make_trigger(entry: TriggerEntry) -> Trigger:
     return SerialTrigger(entry.port, baud=entry.baud, watchdog_s=entry.watchdog_s)
 
 
+def plugins() -> list[str]:
+    """Return the installed drivers of third parties, with their kind."""
+    kinds = ("cameras", "projectors", "triggers")
+    return [
+        f"{point.name} ({kind})"
+        for kind in kinds
+        for point in sorted(entry_points(group=f"labrig.{kind}"), key=lambda p: p.name)
+    ]
+
+
 def _plugin(group: str, name: str, settings: dict[str, Any]) -> Any:
     """Return what a third party's factory makes of its settings.
 

@@ -103,8 +103,8 @@ class VideoDevice:
         if roi is not None:
             self._crop(roi)
             width, height = roi[2:]
-        elif (bounds := self._selection(v4l2.SEL_TGT_CROP_DEFAULT)) is not None:
-            self._crop(bounds)
+        else:
+            self._uncrop()
         request = v4l2.Format(type=v4l2.CAPTURE)
         request.fmt.pix.width, request.fmt.pix.height = width, height
         request.fmt.pix.pixelformat = v4l2.fourcc(letters)
@@ -122,6 +122,12 @@ class VideoDevice:
             interval_s=taken.interval_s,
             roi=roi,
         )
+
+    def _uncrop(self) -> None:
+        """Undo a region that somebody left; many cameras have one that cannot be set."""
+        whole = self._selection(v4l2.SEL_TGT_CROP_DEFAULT)
+        if whole is not None and self._selection(v4l2.SEL_TGT_CROP) not in (None, whole):
+            self._crop(whole)
 
     def _crop(self, roi: Roi) -> None:
         request = v4l2.Selection(type=v4l2.CAPTURE, target=v4l2.SEL_TGT_CROP)

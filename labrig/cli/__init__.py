@@ -14,6 +14,7 @@ from labrig.cli.calibrate import calibrate
 from labrig.cli.capture import capture, import_, ls, resume, verify
 from labrig.cli.check import check
 from labrig.cli.demo import demo
+from labrig.cli.devices import devices
 from labrig.cli.doctor import doctor
 from labrig.cli.exits import EXIT_BAD_INPUT, EXIT_DAMAGED, EXIT_DEVICE, EXIT_INTERRUPTED
 from labrig.cli.schema import schema
@@ -26,7 +27,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-for command in (demo, check, capture, resume, verify, ls, analyse, report, doctor, schema):
+for command in (demo, check, capture, resume, verify, ls, analyse, report, devices, doctor, schema):
     app.command()(command)
 app.command(name="import")(import_)
 app.add_typer(calibrate, name="calibrate")
