@@ -5,18 +5,25 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
+import numpy as np
+
 from drivers.camera.protocol import Camera, CameraSettings
 from drivers.errors import SettingRefusedError
 from drivers.waiting import CancelToken
 
-ROUNDS = 6
+ROUNDS = 8
+PHASES_S = 0.2  # a change is made at a random moment of the camera's frame
 WATCHED = 12  # frames after each change; cameras were seen to take up to six
 RATIO = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExposureLatency:
-    """The most and the least frames with the old exposure that were seen after a change."""
+    """How many frames may still have the old exposure after a change.
+
+    ``frames`` is one more than the most seen, for the moment within a frame that was not hit;
+    ``least_frames`` is the least seen.
+    """
 
     frames: int
     least_frames: int
@@ -39,6 +46,7 @@ def probe(camera: Camera, *, short_s: float, cancel: CancelToken) -> ExposureLat
     """
     exposures = (short_s, RATIO * short_s)
     counted = []
+    moment = np.random.default_rng(1)
     camera.arm("free-run")
     try:
         levels = [_settled(camera, exposure_s, cancel) for exposure_s in exposures]
@@ -51,12 +59,13 @@ def probe(camera: Camera, *, short_s: float, cancel: CancelToken) -> ExposureLat
         middle = (levels[0] * levels[1]) ** 0.5
         for k in range(ROUNDS):
             bright = k % 2 == 1
+            cancel.wait(moment.uniform(0.0, PHASES_S))
             means = _after_change(camera, exposures[bright], cancel)
             late = [n for n, mean in enumerate(means, start=1) if (mean > middle) != bright]
             counted.append(max(late, default=0))
     finally:
         camera.disarm()
-    return ExposureLatency(frames=max(counted), least_frames=min(counted))
+    return ExposureLatency(frames=max(counted) + 1, least_frames=min(counted))
 
 
 def _settled(camera: Camera, exposure_s: float, cancel: CancelToken) -> float:

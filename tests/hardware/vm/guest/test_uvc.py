@@ -36,7 +36,7 @@ def plug():
     device = UvcCamera(light, width=SHAPE[1], height=SHAPE[0], delay=DELAY)
     port = VirtualPort(device)
     end = time.monotonic() + 30.0
-    while not found() and time.monotonic() < end:
+    while not any("by-id" in path for path in found()) and time.monotonic() < end:
         time.sleep(0.2)
     assert found(), "uvcvideo did not take the camera"
     return device, port
@@ -88,8 +88,9 @@ def test_the_picture_is_exact_in_both_formats(camera):
 
 def test_the_probe_measures_how_late_an_exposure_acts(camera):
     measured = probe(camera, short_s=0.004, cancel=NEVER)
-    # one more than the camera's own delay: the frame that was under way
-    assert DELAY <= measured.frames <= DELAY + 2
+    # beside the camera's own delay: the frame under way, and the one of caution
+    assert measured.least_frames >= DELAY
+    assert DELAY + 1 <= measured.frames <= DELAY + 3
 
 
 def test_after_the_latency_no_frame_has_the_old_exposure(camera):
