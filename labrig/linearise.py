@@ -70,6 +70,7 @@ def linearise(session: Session, setup: Setup) -> Mapping[str, Radiance]:
             f"are missing ({session.missing[0]} first); capture it anew."
         )
         raise AnalysisRefusedError(msg)
+    _refuse_mixed_segments(session)
     camera = setup.camera.record()
     by_picture: dict[str, list[Shot]] = defaultdict(list)
     for shot in _shots(session):
@@ -86,6 +87,21 @@ def linearise(session: Session, setup: Setup) -> Mapping[str, Radiance]:
         for name, shots in by_picture.items()
         if name != "flat"
     }
+
+
+def _refuse_mixed_segments(session: Session) -> None:
+    """Light may differ between segments; the shifts of one group must have the same."""
+    segments: dict[str, set[object]] = defaultdict(set)
+    for shot in session.shots:
+        group = str(shot.get("group", shot["id"]))
+        segments[group].add(session.frames[shot["id"]].details.get("segment"))
+    mixed = sorted(group for group, found in segments.items() if len(found) > 1)
+    if mixed:
+        msg = (
+            f"session {session.path.name}: group {mixed[0]} was taken in several segments, between "
+            "which the light may differ; capture it anew."
+        )
+        raise AnalysisRefusedError(msg)
 
 
 def rectify(radiances: Mapping[str, Radiance], session: Session, setup: Setup) -> Pictures:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import queue
 from collections import Counter, deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -119,7 +120,8 @@ class Runner:
         except KeyboardInterrupt as stop:
             end, reason, error = State.ABORTED, "interrupted", stop
         except Exception as failure:
-            end, reason, error = State.FAILED, str(failure), failure
+            end, error = State.FAILED, failure
+            reason = str(failure) or type(failure).__name__
         if self.status.state is State.PREFLIGHT and end is State.FAILED:
             self._go(State.REFUSED, reason)
             return Finish(status=self.status, error=error)
@@ -165,17 +167,18 @@ class Runner:
 
     def _take_all(self) -> None:
         blocks = blocks_of(self._expanded.shots)
-        self._refer()
+        with suppress(_GroupEndedError):
+            self._refer()
         while True:
             left = [b for b in blocks if any(self._wanted(shot) for shot in b)]
-            if not left:
-                _need(self._keeper).drain(PATIENCE_S)
-                self._boundary(blocks[-1])
-                if not any(self._wanted(shot) for block in blocks for shot in block):
-                    return
-                continue
             try:
-                self._take_block(left[0])
+                if left:
+                    self._take_block(left[0])
+                else:
+                    _need(self._keeper).drain(PATIENCE_S)
+                    self._boundary(blocks[-1])
+                    if all(not self._wanted(shot) for shot in self._expanded.shots):
+                        return
             except _GroupEndedError:
                 continue
             if self._after_group:

@@ -281,8 +281,8 @@ class Sequencer:
             "t_uncertainty_s": frame.uncertainty_s,
             "exposure_reported_s": frame.exposure_s,
             "gain_reported_db": frame.gain_db,
-            "floor_fraction": float(np.mean(frame.pixels == 0)),
-            "saturated_fraction": float(np.mean(frame.pixels >= white)),
+            "floor_fraction": 1.0 - np.count_nonzero(frame.pixels) / frame.pixels.size,
+            "saturated_fraction": np.count_nonzero(frame.pixels >= white) / frame.pixels.size,
         }
         if self._last_sequence and frame.sequence > self._last_sequence + 1:
             details["gap"] = frame.sequence - self._last_sequence - 1
@@ -305,8 +305,8 @@ class Sequencer:
             return Cause.DUPLICATE, (
                 f"frame {frame.sequence} came after frame {self._last_sequence}; it is an old one."
             )
-        constant = frame.pixels.min() == frame.pixels.max()
-        if not constant and pixel_digest(frame.pixels) == self._last_pixels:
+        same = pixel_digest(frame.pixels) == self._last_pixels
+        if same and frame.pixels.min() != frame.pixels.max():
             return Cause.DUPLICATE, "the pixels are those of the frame before, which noise forbids."
         # a fired frame cannot begin before its edge, whatever its stamp's uncertainty; a
         # free-running one has nothing but its stamp

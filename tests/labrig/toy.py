@@ -130,3 +130,10 @@ def resume(path: Path, *faults: dict[str, Any], **changes: Any) -> tuple[Finish,
 def pixels(session: Session) -> dict[str, np.ndarray]:
     """Return all frames of a session."""
     return {shot["id"]: session.read(shot["id"]) for shot in session.shots}
+
+
+def read_all(path: Path) -> None:
+    """Open a session and read every frame it claims to have."""
+    session = Session.open(path)
+    for shot in session.frames:
+        session.read(shot)

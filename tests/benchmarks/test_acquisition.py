@@ -1,0 +1,133 @@
+"""What a capture costs beyond waiting for light: `make bench`. In `make test` at toy size."""
+
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from drivers.simulation.sensor import Noise
+from labrig.capturing import prepare
+from labrig.config import parse
+from labrig.models.plan import Plan
+from labrig.models.rig import Rig
+from labrig.models.scene import Scene
+from labrig.rig import connect
+from labrig.run_state import Command, State
+from labrig.sequence import Step
+from labrig.session_writer import Item, SessionWriter
+
+SCENE = {
+    "schema": "labrig-scene/1",
+    "medium": {"sigma_t_per_mm": 0.3, "sigma_s_per_mm": 0.1, "g": 0.0},
+    "tank": {"depth_mm": 32, "width_mm": 32},
+    "beam": {"from_mm": 4, "to_mm": 28},
+}
+
+
+def rig_and_plan(rows: int, cols: int, shifts: int, bracket_s: list[float]):
+    rig = {
+        "schema": "labrig-rig/1",
+        "name": "real time",
+        "camera": {
+            "driver": "simulated",
+            "rows": rows,
+            "cols": cols,
+            "bits": 12,
+            "black_level_dn": 16,
+            "white_level_dn": 4095,
+            "gain_dn_per_e": 0.28,
+            "read_noise_e": 10.9,
+            "readout_s": 0.01,
+        },
+        "projector": {"driver": "simulated", "rows": 4, "cols": 240},
+        "geometry": {"mm_per_px": 0.5, "region_px": [0, 0, 64, 64]},
+        "projection": {"mm_per_px": 0.5, "origin_mm": 0.0},
+        "simulation": {"clock": "real"},
+    }
+    plan = {
+        "schema": "labrig-plan/1",
+        "name": "overhead",
+        "exposures": {"bracket_s": bracket_s},
+        "sets": [
+            {"id": "s", "pattern": {"kind": "stripes", "period_px": 2 * shifts, "shifts": shifts}}
+        ],
+    }
+    return parse(rig, Rig, source="rig"), parse(plan, Plan, source="plan")
+
+
+def test_overhead_of_a_capture_in_real_time(benchmark, tmp_path: Path, monkeypatch):
+    """24 patterns x 4 exposures of 1.2 MP on the host's clock; each part of the time is listed.
+
+    The pictures are made beforehand, because a real camera does not ask the computer for them.
+    """
+    toy = benchmark.disabled
+    rows, cols, shifts = (32, 40, 2) if toy else (960, 1280, 24)
+    bracket_s = [0.01, 0.02] if toy else [0.0333, 0.0667, 0.1333, 0.2667]
+    config, plan = rig_and_plan(rows, cols, shifts, bracket_s)
+    base = np.random.default_rng(1).normal(3000.0, 20.0, (3, rows, cols))
+    made = {e: [(16.0 + b * e / max(bracket_s)).astype(np.uint16) for b in base] for e in bracket_s}
+    turn = iter(range(10_000))
+    monkeypatch.setattr(
+        Noise, "digitise", lambda _self, _e, exposure_s, _name: made[exposure_s][next(turn) % 3]
+    )
+    light = SimpleNamespace(light=lambda _image, _black: np.zeros((1, 1)))
+    marks: dict[str, float] = {}
+
+    def mark(event) -> None:
+        if event.kind == "step" and event.status.shot and event.status.step is Step.SHOW:
+            marks.setdefault("begin", time.monotonic())
+        if event.kind == "state" and event.status.state is State.FINISHING:
+            marks["end"] = time.monotonic()
+
+    with connect(config, parse(SCENE, Scene, source="scene"), light) as rig:
+        runner = prepare(plan, rig, tmp_path)
+        runner.subscribe(mark)
+        runner.post(Command.START)
+        finish = benchmark.pedantic(runner.run, rounds=1)
+        n = len(runner._expanded.shots)
+        parts = {
+            "settle": n * (rig.projector_can.latency_s[1] + rig.projector_can.settle_s),
+            "exposure": sum(shot.exposure_s for shot in runner._expanded.shots),
+            "read-out": n * rig.camera_can.readout_s,
+            "discards": 0.0,
+        }
+    assert finish.status.state is State.COMPLETED, finish.status.reason
+    took_s = marks["end"] - marks["begin"]
+    share = took_s / sum(parts.values()) - 1.0
+    if benchmark.enabled:
+        told = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in parts.items())
+        print(f"\n{n} shots in {took_s:.2f} s: {told}; overhead {100 * share:.2f} %")  # noqa: T201
+        # the aim is 3 %; on two cores that others kept busy (load 8) 14 % were measured
+        assert share < 0.5
+
+
+@pytest.mark.parametrize("group", [1, 8])
+def test_commit_costs_little_cpu(benchmark, group, tmp_path: Path):
+    """CPU and wall of the commit of a 2.4 MB frame, alone and in groups."""
+    shape, n = ((24, 32), group) if benchmark.disabled else ((960, 1280), 96)
+    pixels = np.random.default_rng(1).integers(0, 4096, shape, dtype=np.uint16)
+    shots = [{"id": f"s{k}"} for k in range(n)]
+    with SessionWriter.create(tmp_path, "bench", {"shots": shots}) as session:
+
+        def keep_all() -> None:
+            for first in range(0, n, group):
+                session.keep(
+                    [
+                        Item(event="commit", shot=s["id"], attempt=1, pixels=pixels)
+                        for s in shots[first : first + group]
+                    ]
+                )
+
+        begun_s, cpu_s = time.monotonic(), time.process_time()
+        benchmark.pedantic(keep_all, rounds=1)
+        took_s, cpu_s = time.monotonic() - begun_s, time.process_time() - cpu_s
+        session.close()
+    if benchmark.enabled:
+        print(  # noqa: T201
+            f"\ncommit in groups of {group}: {1e3 * cpu_s / n:.1f} ms CPU a frame, "
+            f"{n / took_s:.0f} frames/s"
+        )
+        assert cpu_s / n < 0.015
+        assert n / took_s > 15.0
