@@ -32,7 +32,7 @@ CAPABILITIES = TriggerCapabilities(
     sources=("host", "projector-sync"),
     latency_s=0.02,  # the latency timer of a USB serial adapter, 16 ms, and a line at 115200 baud
 )
-REPLY_S = 0.5  # a whole exchange takes 20 ms over the slowest adapter
+REPLY_S = 1.0  # a whole exchange takes 20 ms over the slowest adapter; hosts may be loaded
 ASK_AGAIN_S = 0.25
 LATE_S = 1e-3  # between the box's answer and the edge that its loop gives at the end of a delay
 POLL_S = 0.005

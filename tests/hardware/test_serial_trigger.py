@@ -1,5 +1,6 @@
 """The serial trigger against its own firmware: over a real tty, and with every fault of a wire."""
 
+import itertools
 import os
 import stat
 import threading
@@ -176,7 +177,7 @@ def test_a_setting_out_of_range_is_refused_and_nothing_changes(box, wrong):
 
 def test_a_damaged_line_is_no_answer_and_no_command(wire, box):
     trigger = connect(wire.port)
-    pieces = iter(range(10))
+    pieces = itertools.count()
     wire.spoil = lambda piece: piece.replace(b"ok", b"oj") if next(pieces) == 0 else piece
     with pytest.raises(DeadlineError):
         trigger.counters()
@@ -220,7 +221,7 @@ def test_a_mute_box_keeps_deadline_and_cancel(box):
     assert time.monotonic() - begin <= 0.1 + 0.2
     begin = time.monotonic()
     trigger.close()
-    assert time.monotonic() - begin < 1.0
+    assert time.monotonic() - begin < 2.0
 
 
 def test_a_wrong_baud_rate_is_found_when_opening(wire):

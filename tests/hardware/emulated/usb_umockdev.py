@@ -53,7 +53,7 @@ class Port(UMockdev.IoctlBase):
 
     def __init__(self, device: UsbDevice) -> None:
         super().__init__()
-        self.unplugged = False
+        self._unplugged = False
         self.kernel_driver = ""
         self.claimed_elsewhere = False
         self._device = device
@@ -61,6 +61,14 @@ class Port(UMockdev.IoctlBase):
         self._pending: list[_Pending] = []
         self._lock = threading.RLock()
         device.ready = self._pump
+
+    def unplug(self) -> None:
+        """Pull the device out: what is under way ends with an error, as the kernel does it."""
+        with self._lock:
+            self._unplugged = True
+            for pending in self._pending:
+                self._finish(pending.urb, -errno.ESHUTDOWN, 0)
+            self._pending.clear()
 
     def do_handle_ioctl(self, client: UMockdev.IoctlClient) -> bool:
         """Answer one ioctl of libusb."""
@@ -73,9 +81,9 @@ class Port(UMockdev.IoctlBase):
         return True
 
     def _answer(self, request: int, arg: UMockdev.IoctlData) -> tuple[int, int]:
-        if self.unplugged:
-            return -1, errno.ENODEV
         with self._lock:
+            if self._unplugged and not (request in (REAP_URB, REAP_URB_NO_DELAY) and self._done):
+                return -1, errno.ENODEV
             if request == SUBMIT_URB:
                 self._submit(arg.resolve(0, URB_BYTES))
             elif request == DISCARD_URB:
@@ -199,7 +207,7 @@ class UsbBus:
 
     def forget(self, port: Port) -> None:
         """Take a device off the bus: it is found no more, and what is open fails."""
-        port.unplugged = True
+        port.unplug()
         self._bed.uevent(port.path, "remove")
         self._bed.remove_device(port.path)
         _list_devices_anew()
@@ -208,3 +216,6 @@ class UsbBus:
         """Stop answering."""
         self._loop.quit()
         self._thread.join(timeout=5)
+        # Finalised later it would take the environment of the next bus away.
+        self._bed = None
+        gc.collect()

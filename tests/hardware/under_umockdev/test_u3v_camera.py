@@ -92,7 +92,7 @@ def test_unplugging_is_a_lost_device(camera, plugged):
     camera.apply(CameraSettings(exposure_s=0.01))
     camera.arm("free-run")
     collect(camera)
-    threading.Timer(0.2, lambda: setattr(plugged[1], "unplugged", True)).start()
+    threading.Timer(0.2, plugged[1].unplug).start()
 
     def go_on():
         end = time.monotonic() + 15.0

@@ -123,7 +123,7 @@ def test_unplugging_is_an_error_of_its_own_and_replugging_mends_it(bed, program,
     trigger = UsbTrigger()
     trigger.open()
     trigger.configure(TriggerSettings())
-    threading.Timer(0.1, lambda: setattr(port, "unplugged", True)).start()
+    threading.Timer(0.1, port.unplug).start()
 
     def fire_on():
         end = time.monotonic() + 3.0

@@ -63,7 +63,7 @@ def test_a_serial_adapter_is_named_by_its_id_and_its_unplug_is_typed(load):
     line.close()
     settle()
     assert await_true(lambda: not list(BY_ID.glob("*")))
-    with pytest.raises(DeviceNotFoundError, match="there: none"):
+    with pytest.raises(DeviceNotFoundError, match="does not exist"):
         SerialTrigger(port.path, boot_s=0.1).open()
     # the whole host controller bound anew is a replug to the kernel
     driver = Path("/sys/bus/pci/drivers/xhci_hcd")
