@@ -19,8 +19,8 @@ from labrig.preflight import Verdict, check_all
 from labrig.probe import resolve
 from labrig.references import References
 from labrig.rig import OpenRig
-from labrig.run_state import Command, Event, State
-from labrig.runner import Finish, Runner
+from labrig.run_state import Command, Event, Finish, State
+from labrig.runner import Runner
 from labrig.session import Session
 from labrig.session_recovery import Recovery, reopen
 from labrig.session_writer import SessionWriter

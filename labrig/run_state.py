@@ -86,3 +86,11 @@ class Event:
     kind: Literal["state", "step", "saved", "problem", "note"]
     status: Status
     text: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finish:
+    """How a run ended; ``error`` is what made it fail or refuse."""
+
+    status: Status
+    error: BaseException | None

@@ -7,19 +7,17 @@ thread that calls `Runner.run` alone.
 from __future__ import annotations
 
 import queue
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import CancelledError, DriverError
 from drivers.waiting import SLICE_S, CancelToken
-from labrig.errors import LabrigError, RunError
+from labrig.errors import RunError
 from labrig.finishing import finish_devices, finish_session, undisturbed
 from labrig.keeper import Keeper
 from labrig.latency import check_latency
@@ -28,11 +26,11 @@ from labrig.plan import CapturePlan, blocks_of
 from labrig.preflight import Verdict, refuse
 from labrig.references import References
 from labrig.rig import OpenRig
-from labrig.run_state import ENDS, NEXT, TAKES, Command, Event, State, Status
+from labrig.run_log import RunLog, need
+from labrig.run_state import TAKES, Command, Finish, State, Status
 from labrig.sequence import AttemptError, Cause, Sequencer, Step
 from labrig.session_writer import Item, SessionWriter
 
-T = TypeVar("T")
 PATIENCE_S = 10.0  # the longest that finishing may wait for the disk
 MIN_FAILURES = 3  # a short run may have as many without being stopped by their share
 _REARM: frozenset[Cause] = frozenset({Cause.NOT_FIRED})
@@ -46,15 +44,7 @@ class _GroupEndedError(Exception):
     """Raised where a group is skipped or must be taken again from its start."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Finish:
-    """How a run ended; ``error`` is what made it fail or refuse."""
-
-    status: Status
-    error: BaseException | None
-
-
-class Runner:
+class Runner(RunLog):
     """One run of a plan. Make it, subscribe, and call `run`."""
 
     def __init__(
@@ -66,6 +56,7 @@ class Runner:
         verdicts: Callable[[], list[Verdict]] = list,
         references: References | None = None,
     ) -> None:
+        super().__init__(len(expanded.shots))
         self._plan = expanded.plan
         self._expanded = expanded
         self._rig = rig
@@ -75,29 +66,19 @@ class Runner:
         self._cancel = CancelToken()
         self._after_group = False
         self._pause_asked = False
-        self._subscribers: list[Callable[[Event], None]] = []
-        self.status = Status(total=len(expanded.shots))
-        self.problems: deque[str] = deque(maxlen=100)
         self.latest: tuple[str, NDArray[np.uint16]] | None = None
         self.references = references or References(self._plan, rig)
         self._writer: SessionWriter | None = None
-        self._keeper: Keeper | None = None
         self._sequencer: Sequencer | None = None
-        self._taken: set[str] = set()
         self._skipped: set[str] = set()
         self._last_taken_s: dict[str, float] = {}
         self._attempts: Counter[str] = Counter()
         self._losses = 0
-        self._owed: list[Item] = []
 
     @property
     def path(self) -> Path:
         """The session's folder; it exists once the run is armed."""
-        return _need(self._writer).path
-
-    def subscribe(self, callback: Callable[[Event], None]) -> None:
-        """Let a callback hear every event, in the thread of the run."""
-        self._subscribers.append(callback)
+        return need(self._writer).path
 
     def post(self, command: Command) -> None:
         """Ask something of the run; may be called from any thread and in any state."""
@@ -160,7 +141,7 @@ class Runner:
         if checked:
             self._note(checked, {})
         self._sequencer = self.references.sequencer(self._expanded, self._step)
-        self._set(saved=len(self._taken), eta_s=self._eta_s())
+        self._set(saved=len(self._taken), eta_s=self.eta_s())
         for text, details in self.references.warm_up(self._sequencer, self._cancel):
             self._note(text, details)
         self._go(State.RUNNING)
@@ -175,7 +156,7 @@ class Runner:
                 if left:
                     self._take_block(left[0])
                 else:
-                    _need(self._keeper).drain(PATIENCE_S)
+                    need(self._keeper).drain(PATIENCE_S)
                     self._boundary(blocks[-1])
                     if all(not self._wanted(shot) for shot in self._expanded.shots):
                         return
@@ -200,10 +181,10 @@ class Runner:
             self._attempts[shot.id] += 1
             self._set(shot=shot.id, attempt=self._attempts[shot.id])
             try:
-                taken = _need(self._sequencer).attempt(shot, self._cancel, again=again)
+                taken = need(self._sequencer).attempt(shot, self._cancel, again=again)
             except AttemptError as error:
                 counts[error.cause] += 1
-                self._journal_failure(shot, error)
+                self._journal_failure(shot.id, self._attempts[shot.id], error)
                 again = self._mend(block, error, counts)
                 self._boundary(block)
                 continue
@@ -233,7 +214,7 @@ class Runner:
 
     def _mend(self, block: tuple[Shot, ...], error: AttemptError, counts: Counter[Cause]) -> bool:
         """Do what the cause asks for; return whether the pattern is still up for the next try."""
-        cause, sequencer = error.cause, _need(self._sequencer)
+        cause, sequencer = error.cause, need(self._sequencer)
         if cause == Cause.DEVICE_LOST:
             self._losses += 1
             if self._losses > 1:
@@ -267,7 +248,7 @@ class Runner:
         while True:
             try:
                 self._cancel.check()
-                self.references.rearm(_need(self._sequencer))
+                self.references.rearm(need(self._sequencer))
                 break
             except (DriverError, RunError) as error:
                 if isinstance(error, CancelledError):
@@ -286,11 +267,11 @@ class Runner:
         self._go(State.PAUSED, reason)
         self._rig.projector.make_safe()
         self._keep(Item(event="pause", details={"reason": reason}))
-        _need(self._keeper).drain(PATIENCE_S)
+        need(self._keeper).drain(PATIENCE_S)
         self._hear_failure()
         self._decide(block)
         self._go(State.RUNNING)
-        _need(self._sequencer).forget()
+        need(self._sequencer).forget()
         self._pay()
         self._refer()
 
@@ -361,7 +342,7 @@ class Runner:
             raise _GroupEndedError
 
     def _void(self, block: tuple[Shot, ...], reason: str) -> None:
-        keeper, writer = _need(self._keeper), _need(self._writer)
+        keeper, writer = need(self._keeper), need(self._writer)
         keeper.drain(PATIENCE_S)
         self._hear_saved()
         if failure := self._hear_failure():
@@ -383,7 +364,7 @@ class Runner:
         """Measure white and black light; begin a new segment if the lamp has changed."""
         for _ in range(self._plan.limits.attempts_per_shot):
             try:
-                found = self.references.measure(_need(self._sequencer), self._cancel)
+                found = self.references.measure(need(self._sequencer), self._cancel)
             except AttemptError as error:
                 self._problem(f"reference: {error}")
                 if error.cause in (Cause.DEVICE_LOST, Cause.NOT_FIRED):
@@ -397,66 +378,13 @@ class Runner:
         msg = "no reference frame could be taken; check lamp, camera and trigger."
         raise RunError(msg)
 
-    # What is kept, told and remembered.
-
-    def _keep(self, item: Item) -> None:
-        _need(self._keeper).put(item, CancelToken())
-
-    def _journal_failure(self, shot: Shot, error: AttemptError) -> None:
-        about = {**error.details, "cause": error.cause}
-        attempt = self._attempts[shot.id]
-        if error.frame is not None:
-            about["reason"] = str(error)
-            self._keep(
-                Item(
-                    event="reject",
-                    shot=shot.id,
-                    attempt=attempt,
-                    pixels=error.frame.pixels,
-                    details=about,
-                )
-            )
-        else:
-            about |= {"shot": shot.id, "attempt": attempt, "why": str(error)}
-            self._keep(Item(event="drop", details=about))
-        self._problem(str(error))
-
-    def _hear_saved(self) -> None:
-        if self._keeper is None:
-            return
-        for item in self._keeper.collect_saved():
-            if item.event == "commit":
-                self._set(saved=self.status.saved + 1, eta_s=self._eta_s())
-                self._emit("saved", item.shot)
-
-    def _hear_failure(self) -> str:
-        """Return why the disk failed, after letting its frames be taken again; else nothing."""
-        keeper = _need(self._keeper)
-        failure = keeper.collect_failure()
-        if failure is None:
-            return ""
-        if isinstance(failure.error, LabrigError) or not isinstance(failure.error, OSError):
-            raise failure.error
-        why = f"the disk failed: {failure.error.strerror or failure.error}"
-        for item in failure.unsaved:
-            self._taken.discard(item.shot)
-            if item.pixels is not None:
-                about = {"shot": item.shot, "attempt": item.attempt, "why": why, "cause": "disk"}
-                self._owed.append(Item(event="drop", details=about))
-            elif item.event != "pause":
-                self._owed.append(item)
-        return f"{why}; make room or mend it, then resume."
-
-    def _pay(self) -> None:
-        """Journal the resume, and what a full disk did not take before."""
-        owed, self._owed = self._owed, []
-        for item in (Item(event="resume"), *owed):
-            self._keep(item)
+    # What is kept and told of an attempt.
 
     def _wanted(self, shot: Shot) -> bool:
         return shot.id not in self._taken and shot.id not in self._skipped
 
-    def _eta_s(self) -> float:
+    def eta_s(self) -> float:
+        """Return how long the shots that are left will take, s."""
         left = [shot for shot in self._expanded.shots if self._wanted(shot)]
         return self.references.seconds(left)
 
@@ -464,44 +392,3 @@ class Runner:
         self._set(step=step)
         self._rig.notice(shot, step)
         self._emit("step", step)
-
-    def _refuse_command(self, command: Command) -> None:
-        if command is not Command.ABORT:
-            self._emit("note", f"{command} does nothing while {self.status.state}")
-
-    def _problem(self, text: str) -> None:
-        self.problems.append(text)
-        self._set(problem=text)
-        self._emit("problem", text)
-
-    def _note(self, text: str, details: dict[str, Any]) -> None:
-        if self._keeper is not None:
-            self._keep(Item(event="note", details={"text": text, **details}))
-        self._emit("note", text)
-
-    def _go(self, state: State, reason: str = "") -> None:
-        if state not in NEXT.get(self.status.state, frozenset()):
-            msg = f"a run cannot go from {self.status.state} to {state}"
-            raise AssertionError(msg)
-        step = None if state in ENDS else self.status.step
-        self._set(state=state, reason=reason, step=step)
-        self._emit("state", state)
-
-    def _set(self, **changes: Any) -> None:
-        self.status = replace(self.status, **changes)
-
-    def _emit(self, kind: Any, text: str) -> None:
-        event = Event(kind=kind, status=self.status, text=str(text))
-        for callback in tuple(self._subscribers):
-            try:
-                callback(event)
-            except Exception as error:
-                self._subscribers.remove(callback)
-                self.problems.append(f"a listener failed and hears no more: {error!r}")
-
-
-def _need(found: T | None) -> T:
-    if found is None:
-        msg = "the run is not armed"
-        raise AssertionError(msg)
-    return found

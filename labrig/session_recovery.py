@@ -95,14 +95,7 @@ def reopen(path: Path, *, disk: Disk | None = None) -> tuple[SessionWriter, Reco
     except BaseException:
         let_go(lock)
         raise
-    try:
-        for shot in lost:
-            writer.forget(shot, "its file was missing or damaged when the session was resumed")
-        if not os.path.lexists(root / RESERVE):
-            disk.write_file(root / RESERVE, secrets.token_bytes(1 << 20))
-    except BaseException:
-        writer.leave("failed", "could not be taken up again")
-        raise
+    _give_up_lost(writer, lost, disk)
     return writer, Recovery(
         header=header,
         saved=len(progress.saved),
@@ -111,6 +104,18 @@ def reopen(path: Path, *, disk: Disk | None = None) -> tuple[SessionWriter, Reco
         torn=journal.torn,
         events=journal.events,
     )
+
+
+def _give_up_lost(writer: SessionWriter, lost: Iterable[str], disk: Disk) -> None:
+    """Journal what was lost, and have the reserve again."""
+    try:
+        for shot in lost:
+            writer.forget(shot, "its file was missing or damaged when the session was resumed")
+        if not os.path.lexists(writer.path / RESERVE):
+            disk.write_file(writer.path / RESERVE, secrets.token_bytes(1 << 20))
+    except BaseException:
+        writer.leave("failed", "could not be taken up again")
+        raise
 
 
 def _read_trusted(root: Path) -> tuple[JsonObject, Journal, list[CommittedFrame]]:

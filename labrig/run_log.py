@@ -1,0 +1,133 @@
+"""What a run keeps, tells and remembers: its status, its events, and the way to the writer."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, TypeVar
+
+from drivers.waiting import CancelToken
+from labrig.errors import LabrigError
+from labrig.keeper import Keeper
+from labrig.run_state import ENDS, NEXT, Command, Event, State, Status
+from labrig.sequence import AttemptError
+from labrig.session_writer import Item
+
+T = TypeVar("T")
+
+
+class RunLog(ABC):
+    """The part of a run that speaks to whoever follows it, and to the keeper of its frames."""
+
+    def __init__(self, total: int) -> None:
+        self.status = Status(total=total)
+        self.problems: deque[str] = deque(maxlen=100)
+        self._subscribers: list[Callable[[Event], None]] = []
+        self._keeper: Keeper | None = None
+        self._taken: set[str] = set()
+        self._owed: list[Item] = []
+
+    @abstractmethod
+    def eta_s(self) -> float:
+        """Return how long the shots that are left will take, s."""
+
+    def subscribe(self, callback: Callable[[Event], None]) -> None:
+        """Let a callback hear every event, in the thread of the run."""
+        self._subscribers.append(callback)
+
+    def _keep(self, item: Item) -> None:
+        need(self._keeper).put(item, CancelToken())
+
+    def _journal_failure(self, shot: str, attempt: int, error: AttemptError) -> None:
+        about = {**error.details, "cause": error.cause}
+        if error.frame is not None:
+            about["reason"] = str(error)
+            self._keep(
+                Item(
+                    event="reject",
+                    shot=shot,
+                    attempt=attempt,
+                    pixels=error.frame.pixels,
+                    details=about,
+                )
+            )
+        else:
+            about |= {"shot": shot, "attempt": attempt, "why": str(error)}
+            self._keep(Item(event="drop", details=about))
+        self._problem(str(error))
+
+    def _hear_saved(self) -> None:
+        if self._keeper is None:
+            return
+        for item in self._keeper.collect_saved():
+            if item.event == "commit":
+                self._set(saved=self.status.saved + 1, eta_s=self.eta_s())
+                self._emit("saved", item.shot)
+
+    def _hear_failure(self) -> str:
+        """Return why the disk failed, after letting its frames be taken again; else nothing."""
+        keeper = need(self._keeper)
+        failure = keeper.collect_failure()
+        if failure is None:
+            return ""
+        if isinstance(failure.error, LabrigError) or not isinstance(failure.error, OSError):
+            raise failure.error
+        why = f"the disk failed: {failure.error.strerror or failure.error}"
+        for item in failure.unsaved:
+            self._taken.discard(item.shot)
+            if item.pixels is not None:
+                about = {"shot": item.shot, "attempt": item.attempt, "why": why, "cause": "disk"}
+                self._owed.append(Item(event="drop", details=about))
+            elif item.event != "pause":
+                self._owed.append(item)
+        return f"{why}; make room or mend it, then resume."
+
+    def _pay(self) -> None:
+        """Journal the resume, and what a full disk did not take before."""
+        owed, self._owed = self._owed, []
+        for item in (Item(event="resume"), *owed):
+            self._keep(item)
+
+    def _refuse_command(self, command: Command) -> None:
+        if command is not Command.ABORT:
+            self._emit("note", f"{command} does nothing while {self.status.state}")
+
+    def _problem(self, text: str) -> None:
+        self.problems.append(text)
+        self._set(problem=text)
+        self._emit("problem", text)
+
+    def _note(self, text: str, details: dict[str, Any]) -> None:
+        if self._keeper is not None:
+            self._keep(Item(event="note", details={"text": text, **details}))
+        self._emit("note", text)
+
+    def _go(self, state: State, reason: str = "") -> None:
+        if state not in NEXT.get(self.status.state, frozenset()):
+            msg = f"a run cannot go from {self.status.state} to {state}"
+            raise AssertionError(msg)
+        step = None if state in ENDS else self.status.step
+        self._set(state=state, reason=reason, step=step)
+        self._emit("state", state)
+
+    def _set(self, **changes: Any) -> None:
+        self.status = replace(self.status, **changes)
+
+    def _emit(self, kind: Any, text: str) -> None:
+        event = Event(kind=kind, status=self.status, text=str(text))
+        for callback in tuple(self._subscribers):
+            try:
+                callback(event)
+            except Exception as error:
+                self._subscribers.remove(callback)
+                self.problems.append(f"a listener failed and hears no more: {error!r}")
+
+
+def need(found: T | None) -> T:
+    """Return what an armed run has; before that it is a mistake of the program to ask."""
+    if found is None:
+        msg = "the run is not armed"
+        raise AssertionError(msg)
+    return found
