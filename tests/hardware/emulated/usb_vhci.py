@@ -43,6 +43,9 @@ class VirtualPort:
         with suppress(OSError):
             (CONTROLLER / "detach").write_text(str(self._port))
         self._events.put(False)
+        with suppress(OSError):
+            self._near.shutdown(socket.SHUT_RDWR)
+        self._near.close()
 
     def _serve(self) -> None:
         with suppress(EOFError, OSError):
