@@ -3,8 +3,11 @@ PYTHON ?= $(shell for p in python3.13 python3.12 python3.11 python3 /usr/bin/pyt
     command -v $$p >/dev/null 2>&1 && $$p -c 'import sys, tkinter; sys.exit(sys.version_info < (3, 11))' \
     >/dev/null 2>&1 && command -v $$p && break; done)
 BIN := .venv/bin
+HARDWARE_PACKAGES := xvfb x11-xserver-utils libxrandr2 libxss1 g++ gcc libc6-dev linux-libc-dev \
+    libusb-1.0-0 umockdev gir1.2-umockdev-1.0 python3-gi gir1.2-aravis-0.8 \
+    qemu-system-x86 busybox-static cpio kmod udev v4l-utils
 
-.PHONY: demo test lint types contracts bench torture figures lock install clean
+.PHONY: demo test hardware-packages genicam hardware-vm lint types contracts bench torture figures lock install clean
 
 demo: install  ## the main job on the simulated rig
 	@$(BIN)/labrig demo
@@ -32,6 +35,22 @@ figures: install  ## the pictures of the README, from a run of the demo
 	@rm -rf build/figures && $(BIN)/labrig demo --out build/figures >/dev/null
 	@mkdir -p docs/images && cp build/figures/*/*/results/*/figures/attenuation.png \
 	    build/figures/*/*/results/*/figures/light-field.png docs/images/
+
+hardware-packages:  ## Debian packages that the tests of the drivers need
+	apt-get install -qy --no-install-recommends $(HARDWARE_PACKAGES)
+
+genicam: install  ## Aravis' Python binding into .venv: Debian's if the Pythons are alike, else built
+	@$(BIN)/python -c 'import gi' 2>/dev/null || \
+	    { [ -d /usr/lib/python3/dist-packages/gi ] && \
+	      [ "$$($(BIN)/python -c 'import sys; print(sys.version_info[:2])')" = \
+	        "$$(/usr/bin/python3 -c 'import sys; print(sys.version_info[:2])')" ] && \
+	      ln -sfn /usr/lib/python3/dist-packages/gi \
+	        "$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/gi"; } || \
+	    { echo "labrig: building PyGObject (a minute); it needs gcc, pkg-config, libcairo2-dev and libgirepository1.0-dev"; \
+	      $(BIN)/python -m pip install --quiet --disable-pip-version-check 'PyGObject<3.52'; }
+
+hardware-vm: install  ## drivers against real kernel drivers, in a virtual machine (minutes)
+	@$(BIN)/python tests/hardware/vm/run.py
 
 install: .venv/installed
 

@@ -13,6 +13,10 @@ class DeviceBusyError(DriverError):
     """Raised when another program holds the device; the message names it where it is known."""
 
 
+class AccessDeniedError(DriverError):
+    """Raised when the system denies this user a device; the message says which rule to install."""
+
+
 class DeviceLostError(DriverError):
     """Raised when an open device has gone: unplugged, powered off, its control taken away."""
 

@@ -185,7 +185,7 @@ def _walk(model: type[BaseModel], location: tuple[int | str, ...]) -> tuple[list
 
 
 def _kind_of(model: type[BaseModel]) -> str | None:
-    field = model.model_fields.get("kind")
+    field = model.model_fields.get("kind") or model.model_fields.get("driver")
     return None if field is None else str(typing.get_args(field.annotation)[0])
 
 

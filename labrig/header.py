@@ -20,7 +20,7 @@ def header_of(expanded: CapturePlan, rig: OpenRig, operator: str | None) -> dict
         "scene": rig.scene.model_dump(mode="json", by_alias=True),
         "setup": setup_of(expanded.plan, rig).model_dump(mode="json"),
         "devices": rig.snapshot(),
-        "simulated": True,
+        "simulated": rig.simulated,
         "operator": operator,
         "calibration": {}
         if latency is None

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from drivers.camera.protocol import Camera, CameraCapabilities, TriggerMode
 from drivers.camera.simulated import Sensor, SimulatedCamera
-from drivers.errors import DriverError
 from drivers.projector.protocol import Image, PatternHandle, Projector, ProjectorCapabilities
 from drivers.projector.simulated import SimulatedProjector
 from drivers.simulation.clock import VirtualClock
@@ -25,11 +24,24 @@ from drivers.trigger.software import SoftwareTrigger
 from drivers.waiting import Clock, MonotonicClock
 from labrig.disk import Disk
 from labrig.errors import RunError
+from labrig.models.devices import RealTriggerConfig
 from labrig.models.latency import LatencyRecord
 from labrig.models.plan import Plan
-from labrig.models.rig import Rig, SimulatedTriggerConfig
+from labrig.models.rig import (
+    Rig,
+    SimulatedCameraConfig,
+    SimulatedProjectorConfig,
+    SimulatedTriggerConfig,
+)
 from labrig.models.scene import Scene
 from labrig.plan import stripes_of
+from labrig.real_devices import (
+    RealWorld,
+    ask_operator,
+    make_camera,
+    make_projector,
+    make_trigger,
+)
 from labrig.scene.picture import Picture, Truth
 from labrig.scene.response import tank_response
 from labrig.simulated_disk import SimulatedDisk
@@ -37,6 +49,9 @@ from labrig.simulated_disk import SimulatedDisk
 TRIGGER_MODES: dict[str, TriggerMode] = {
     "software": "software",
     "simulated": "external",
+    "serial": "external",
+    "usb": "external",
+    "plugin": "external",
     "free-run": "free-run",
 }
 
@@ -52,10 +67,15 @@ class OpenRig:
     trigger: Trigger
     camera_can: CameraCapabilities
     projector_can: ProjectorCapabilities
-    picture: Picture
+    picture: Picture | None
     latency: LatencyRecord | None
     disk: Disk
-    _world: World
+    _world: World | RealWorld
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the devices are those of the simulated world."""
+        return self.picture is not None
 
     @property
     def clock(self) -> Clock:
@@ -75,6 +95,9 @@ class OpenRig:
     def variance_dn2(self, counts_dn: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the variance of counts by the camera's gain and read noise, DN^2."""
         c = self.config.camera
+        if c.gain_dn_per_e is None or c.read_noise_e is None:
+            msg = f"rig {self.config.name!r}: measure the camera's gain_dn_per_e and read_noise_e."
+            raise RunError(msg)
         light_dn = np.maximum(counts_dn - c.black_level_dn, 0.0)
         noise_dn2 = (c.gain_dn_per_e * c.read_noise_e) ** 2 + 1.0 / 12.0
         return np.asarray(c.gain_dn_per_e * light_dn + noise_dn2)
@@ -94,6 +117,9 @@ class OpenRig:
 
     def truth(self) -> Truth:
         """Return what the simulated light is really made of."""
+        if self.picture is None:
+            msg = f"rig {self.config.name!r} is real: what its light is made of is not known."
+            raise RunError(msg)
         return self.picture.truth(self.config.projector.black_level)
 
     def snapshot(self) -> dict[str, Any]:
@@ -111,11 +137,12 @@ class OpenRig:
     def arm(self, images: list[Image]) -> tuple[PatternHandle, ...]:
         """Load the patterns, set the trigger, arm the camera."""
         handles = self.projector.load(images)
-        if isinstance(self.config.trigger, SimulatedTriggerConfig):
-            wanted = TriggerSettings(
-                pulse_s=self.config.trigger.pulse_s, delay_s=self.config.trigger.delay_s
-            )
+        box = self.config.trigger
+        if isinstance(box, RealTriggerConfig):
+            wanted = TriggerSettings(pulse_s=box.pulse_s, delay_s=box.delay_s, source=box.source)
             self.trigger.configure(wanted)
+        elif isinstance(box, SimulatedTriggerConfig):
+            self.trigger.configure(TriggerSettings(pulse_s=box.pulse_s, delay_s=box.delay_s))
         self.camera.arm(self.trigger_mode)
         return handles
 
@@ -163,10 +190,11 @@ def open_rig(
     latency: LatencyRecord | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> OpenRig:
-    """Open a simulated rig that looks at a scene, ready for a plan.
+    """Open a rig, ready for a plan.
 
     Parameters
     ----------
+    scene : what a simulated rig looks at; of a real one its tank and beam alone matter
     latency : the projector's latency as it was last measured; else the rig file's own numbers
     progress : follows the Monte Carlo, which runs the first time a scene is seen
 
@@ -176,6 +204,8 @@ def open_rig(
         If scene, rig and plan do not fit one another.
     """
     stripes = stripes_of(plan)
+    if not isinstance(rig.camera, SimulatedCameraConfig):
+        return _connect_real(rig, scene, latency)
     response = tank_response(
         scene, period_mm=stripes.period_px * rig.projection.mm_per_px, progress=progress
     )
@@ -187,8 +217,14 @@ def connect(
     rig: Rig, scene: Scene, picture: Picture, latency: LatencyRecord | None = None
 ) -> OpenRig:
     """Open the devices of a simulated rig that sees a picture."""
-    world = _world(rig, picture)
-    camera = SimulatedCamera(_sensor(rig), world, seed=rig.camera.seed)
+    if not (
+        isinstance(rig.camera, SimulatedCameraConfig)
+        and isinstance(rig.projector, SimulatedProjectorConfig)
+    ):
+        msg = f"rig {rig.name!r} mixes simulated and real devices; they do not see one another."
+        raise RunError(msg)
+    world = _world(rig, rig.projector, picture)
+    camera = SimulatedCamera(_sensor(rig.camera), world, seed=rig.camera.seed)
     projector = SimulatedProjector(
         projector_capabilities(rig, latency),
         world,
@@ -199,14 +235,7 @@ def connect(
     trigger: Trigger = SoftwareTrigger(camera)
     if isinstance(rig.trigger, SimulatedTriggerConfig):
         trigger = SimulatedTrigger(world, latency_s=rig.trigger.latency_s)
-    devices = (projector, trigger, camera)
-    try:
-        camera_can, projector_can = camera.open(), projector.open()
-        trigger.open()
-    except DriverError:
-        for device in devices:
-            device.close()
-        raise
+    camera_can, projector_can = _open_all(camera, projector, trigger)
     return OpenRig(
         config=rig,
         scene=scene,
@@ -220,6 +249,48 @@ def connect(
         disk=SimulatedDisk(world.faults),
         _world=world,
     )
+
+
+def _connect_real(rig: Rig, scene: Scene, latency: LatencyRecord | None) -> OpenRig:
+    """Open the real devices of a rig."""
+    if isinstance(rig.camera, SimulatedCameraConfig) or isinstance(
+        rig.projector, SimulatedProjectorConfig
+    ):
+        msg = f"rig {rig.name!r} mixes simulated and real devices; they do not see one another."
+        raise RunError(msg)
+    world = RealWorld(ask_operator)
+    camera, projector = make_camera(rig.camera), make_projector(rig.projector, latency)
+    trigger: Trigger = SoftwareTrigger(camera)
+    if isinstance(rig.trigger, RealTriggerConfig):
+        trigger = make_trigger(rig.trigger)
+    camera_can, projector_can = _open_all(camera, projector, trigger)
+    return OpenRig(
+        config=rig,
+        scene=scene,
+        camera=camera,
+        projector=projector,
+        trigger=trigger,
+        camera_can=camera_can,
+        projector_can=projector_can,
+        picture=None,
+        latency=latency,
+        disk=Disk(),
+        _world=world,
+    )
+
+
+def _open_all(
+    camera: Camera, projector: Projector, trigger: Trigger
+) -> tuple[CameraCapabilities, ProjectorCapabilities]:
+    """Open all devices, or none: one that fails closes the others."""
+    try:
+        camera_can, projector_can = camera.open(), projector.open()
+        trigger.open()
+    except BaseException:
+        for device in (projector, trigger, camera):
+            device.close()
+        raise
+    return camera_can, projector_can
 
 
 def projector_capabilities(rig: Rig, latency: LatencyRecord | None) -> ProjectorCapabilities:
@@ -240,19 +311,18 @@ def projector_capabilities(rig: Rig, latency: LatencyRecord | None) -> Projector
     )
 
 
-def _world(rig: Rig, picture: Picture) -> World:
+def _world(rig: Rig, projector: SimulatedProjectorConfig, picture: Picture) -> World:
     simulation = rig.simulation
     return World(
         light=picture.light,
         projector_black=rig.projector.black_level,
         clock=VirtualClock() if simulation.clock == "virtual" else MonotonicClock(),
         lamp=Lamp(**simulation.lamp.model_dump()),
-        fade_s=rig.projector.fade_s,
+        fade_s=projector.fade_s,
         faults=FaultScript(Fault(**fault.model_dump()) for fault in simulation.faults),
     )
 
 
-def _sensor(rig: Rig) -> Sensor:
-    c = rig.camera
+def _sensor(c: SimulatedCameraConfig) -> Sensor:
     figures = c.model_dump(include=set(Sensor.__dataclass_fields__))
     return Sensor(**figures, reports_exposure=c.exposure_report == "per-frame")

@@ -14,6 +14,7 @@ from labrig.cli.calibrate import app as calibrate
 from labrig.cli.capture import capture, import_, ls, resume, verify
 from labrig.cli.check import check
 from labrig.cli.demo import demo
+from labrig.cli.devices import devices
 from labrig.cli.doctor import doctor
 from labrig.cli.exits import EXIT_BAD_INPUT, EXIT_DAMAGED, EXIT_DEVICE, EXIT_INTERRUPTED
 from labrig.cli.schema import schema
@@ -37,6 +38,7 @@ for command in (
     analyse,
     report,
     solve,
+    devices,
     doctor,
     schema,
 ):

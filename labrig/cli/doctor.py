@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 import labrig
+from labrig import udev
 from labrig.cli.say import AsJson, say, say_json
 from labrig.doctor import examine
 
@@ -16,9 +17,17 @@ from labrig.doctor import examine
 def doctor(
     rig: Annotated[Path | None, typer.Option(help="Rig file.")] = None,
     out: Annotated[Path, typer.Option("--out", help="Data root.")] = Path("sessions"),
+    fix_udev: Annotated[
+        bool, typer.Option("--fix-udev", help="Install the rules that open devices to users.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Say what is present, missing or misconfigured, and the command that mends it."""
+    if fix_udev:
+        say(f"{udev.INSTALLED} would hold:\n\n{udev.rules()}")
+        typer.confirm("Install these rules?", abort=True)
+        udev.install()
+        return
     found = examine(out, None if rig is None else labrig.load_rig(rig))
     if as_json:
         say_json([asdict(finding) for finding in found])

@@ -8,6 +8,16 @@ from pydantic import Field
 
 from drivers.simulation.faults import FaultKind
 from labrig.models.base import Model, NonNegative, Positive
+from labrig.models.devices import (
+    GenicamCameraConfig,
+    PluginCameraConfig,
+    PluginProjectorConfig,
+    PluginTriggerConfig,
+    ScreenProjectorConfig,
+    SerialTriggerConfig,
+    UsbTriggerConfig,
+    V4l2CameraConfig,
+)
 from labrig.models.setup import CameraConfig, GeometryConfig, ProjectionConfig
 
 
@@ -67,7 +77,22 @@ class SimulatedTriggerConfig(Model):
 
 
 TriggerConfig = Annotated[
-    SoftwareTriggerConfig | NoTriggerConfig | SimulatedTriggerConfig,
+    SoftwareTriggerConfig
+    | NoTriggerConfig
+    | SimulatedTriggerConfig
+    | SerialTriggerConfig
+    | UsbTriggerConfig
+    | PluginTriggerConfig,
+    Field(discriminator="driver"),
+]
+
+
+CameraEntry = Annotated[
+    SimulatedCameraConfig | V4l2CameraConfig | GenicamCameraConfig | PluginCameraConfig,
+    Field(discriminator="driver"),
+]
+ProjectorEntry = Annotated[
+    SimulatedProjectorConfig | ScreenProjectorConfig | PluginProjectorConfig,
     Field(discriminator="driver"),
 ]
 
@@ -106,8 +131,8 @@ class Rig(Model):
 
     schema_: Literal["labrig-rig/1"] = Field(alias="schema")
     name: str
-    camera: SimulatedCameraConfig
-    projector: SimulatedProjectorConfig
+    camera: CameraEntry
+    projector: ProjectorEntry
     geometry: GeometryConfig
     projection: ProjectionConfig
     trigger: TriggerConfig = SoftwareTriggerConfig(driver="software")

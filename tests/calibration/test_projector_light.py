@@ -1,14 +1,14 @@
 """Grey levels, black's leak, and what makes a record valid."""
 
 import dataclasses
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
 
 from calibration.errors import CalibrationError
 from calibration.projector import black_leak, fit_gamma, stripe_light
-from calibration.record import Record, validity
+from calibration.record import Conditions, Record, validity
 
 
 def test_gamma_and_its_inverse():

@@ -140,7 +140,7 @@ def test_number_that_is_none_is_refused(
     ("old", "new", "said"),
     [
         ("g: 0.3", "g: 1.1", "g = 1.1"),
-        ("g: 0.3", "g: -1", "g = -1"),
+        ("g: 0.3", "g: -1.01", "g = -1.01"),
         ("sigma_t_per_mm: 0.3", "sigma_t_per_mm: -0.3", "sigma_t = -0.3"),
         ("sigma_t_per_mm: 0.3", "sigma_t_per_mm: 0", "sigma_t = 0"),
         ("sigma_s_per_mm: 0.15", "sigma_s_per_mm: 0.31", "sigma_s = 0.31"),

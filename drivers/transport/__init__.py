@@ -1,0 +1,1 @@
+"""Bytes to and from devices; what they mean is known one floor above."""

@@ -1,0 +1,1 @@
+"""Emulated devices, each as near to the wire as this machine allows."""

@@ -1,0 +1,178 @@
+"""The USB trigger through real libusb, its firmware behind emulated endpoints."""
+
+import threading
+import time
+
+import pytest
+from emulated.firmware import compile_firmware
+from emulated.usb_trigger import UsbTriggerDevice
+from emulated.usb_umockdev import UsbBus
+
+from drivers.errors import (
+    CancelledError,
+    DeadlineError,
+    DeviceBusyError,
+    DeviceLostError,
+    DeviceNotFoundError,
+    NotOpenError,
+    SettingRefusedError,
+    TriggerNotFiredError,
+)
+from drivers.transport.usb_transfer import usb_devices
+from drivers.trigger.protocol import TriggerSettings
+from drivers.trigger.usb import UsbTrigger
+from drivers.waiting import CancelToken
+
+NEVER = CancelToken()
+
+
+@pytest.fixture(scope="session")
+def program(tmp_path_factory):
+    return compile_firmware(tmp_path_factory.mktemp("firmware"))
+
+
+@pytest.fixture
+def bed():
+    usb = UsbBus()
+    yield usb
+    usb.close()
+
+
+@pytest.fixture
+def device(program):
+    emulated = UsbTriggerDevice(program)
+    yield emulated
+    emulated.stop()
+
+
+@pytest.fixture
+def port(bed, device):
+    return bed.plug(device)
+
+
+@pytest.fixture
+def trigger(port):
+    box = UsbTrigger()
+    box.open()
+    yield box
+    box.close()
+
+
+def in_s(seconds):
+    return time.monotonic() + seconds
+
+
+def test_pulses_are_given_and_counted(trigger, device):
+    assert trigger.identity == {
+        "model": "labrig trigger box",
+        "serial": "T0001",
+        "firmware": "1.0",
+    }
+    applied = trigger.configure(TriggerSettings(pulse_s=2e-3, delay_s=1e-3))
+    assert applied.pulse_s == pytest.approx(2e-3)
+    receipts = []
+    for _ in range(3):
+        receipts.append(trigger.fire(deadline_s=in_s(1.0), cancel=NEVER))
+        time.sleep(0.02)
+    assert trigger.counters().pulses == 3
+    rises = [edge for edge in device.box.unplug() if edge.high]
+    for receipt, rise in zip(receipts, rises, strict=True):
+        # a loaded host may run the firmware's loop 20 ms late
+        assert receipt.earliest_s <= rise.at_s <= receipt.latest_s + 0.02
+
+
+def test_make_safe_goes_beside_a_stuck_pipe(trigger, device):
+    trigger.configure(TriggerSettings(pulse_s=1.0))
+    trigger.fire(deadline_s=in_s(1.0), cancel=NEVER)
+    device.mute = True
+    begin = time.monotonic()
+    trigger.make_safe()
+    assert time.monotonic() - begin < 0.2
+    time.sleep(0.05)
+    edges = device.box.unplug()
+    assert [edge.high for edge in edges] == [True, False]
+    assert edges[1].at_s - edges[0].at_s < 0.5
+
+
+def test_a_mute_device_keeps_deadline_and_cancel(trigger, device):
+    trigger.configure(TriggerSettings())
+    device.mute = True
+    begin = time.monotonic()
+    with pytest.raises(DeadlineError, match="no whole line"):
+        trigger.fire(deadline_s=in_s(0.5), cancel=NEVER)
+    assert 0.5 <= time.monotonic() - begin <= 0.6
+    cancel = CancelToken()
+    threading.Timer(0.1, cancel.cancel, ["enough"]).start()
+    begin = time.monotonic()
+    with pytest.raises(CancelledError):
+        trigger.fire(deadline_s=in_s(5.0), cancel=cancel)
+    assert time.monotonic() - begin <= 0.1 + 0.2
+    device.mute = False
+    assert trigger.counters().pulses == 0
+
+
+def test_a_stall_is_refused_once_and_cleared(trigger, device):
+    device.stalled = True
+    with pytest.raises(SettingRefusedError, match="stall"):
+        trigger.counters()
+    assert trigger.counters().pulses == 0
+
+
+def test_unplugging_is_an_error_of_its_own_and_replugging_mends_it(bed, program, device):
+    port = bed.plug(device)
+    trigger = UsbTrigger()
+    trigger.open()
+    trigger.configure(TriggerSettings())
+    threading.Timer(0.1, port.unplug).start()
+
+    def fire_on():
+        end = time.monotonic() + 3.0
+        while time.monotonic() < end:
+            trigger.fire(deadline_s=in_s(1.0), cancel=NEVER)
+
+    with pytest.raises((DeviceLostError, TriggerNotFiredError), match=r"gone|under way"):
+        fire_on()
+    with pytest.raises(DeviceLostError, match="gone"):
+        trigger.counters()
+    trigger.make_safe()
+    trigger.close()
+    trigger.close()
+    bed.forget(port)
+    with pytest.raises(DeviceNotFoundError, match="no such device"):
+        trigger.open()
+    bed.plug(UsbTriggerDevice(program))
+    trigger.open()
+    assert trigger.counters().pulses == 0
+    trigger.close()
+
+
+def test_two_of_a_kind_are_told_apart_by_serial_number(bed, program):
+    devices = [UsbTriggerDevice(program, serial=serial) for serial in ("A1", "B2")]
+    for device in devices:
+        bed.plug(device)
+    with pytest.raises(DeviceNotFoundError, match=r"2 found \(serials: A1, B2\)"):
+        UsbTrigger().open()
+    trigger = UsbTrigger(serial="B2")
+    trigger.open()
+    trigger.configure(TriggerSettings())
+    trigger.fire(deadline_s=in_s(1.0), cancel=NEVER)
+    trigger.close()
+    assert len(usb_devices()) == 2
+    edges = [device.box.unplug() for device in devices]
+    assert edges[0] == []
+    assert len(edges[1]) == 2
+
+
+def test_a_device_has_one_owner(port, device, trigger):
+    with pytest.raises(DeviceBusyError, match="already"):
+        trigger.open()
+    trigger.close()
+    port.kernel_driver = "cdc_acm"
+    with pytest.raises(DeviceBusyError, match="driver of the kernel"):
+        trigger.open()
+    port.kernel_driver = ""
+    port.claimed_elsewhere = True
+    with pytest.raises(DeviceBusyError, match="another program"):
+        trigger.open()
+    with pytest.raises(NotOpenError):
+        trigger.counters()
