@@ -175,15 +175,19 @@ def _cut_rays(
             far_x = (x - wall_x) * inverse_cos if inverse_cos != math.inf else 1e300
             far_y = (y - wall_y) * inverse_sin if inverse_sin != math.inf else 1e300
             entry = y - x * slope
+            share = 1.0
             if drift != 0.0:
                 s_low, s_high = (entry - low) * per_entry, (entry - high) * per_entry
             else:
-                s_low, s_high = (-1e300, 1e300) if low < entry < high else (0.0, 0.0)
+                s_low, s_high = (-1e300, 1e300) if low <= entry <= high else (0.0, 0.0)
+                # A ray along the strip's edge sees the mean of both sides.
+                if min(abs(entry - low), abs(entry - high)) == 0.0:
+                    share = 0.5
             begin = max(0.0, min(s_low, s_high))
             end = max(begin, min(far_x, far_y, max(s_low, s_high)))
             span = end - begin
             near, deep = (begin, end) if rate >= 0.0 else (end, begin)
             dimming[p, q] = beam_rate * x + rate * near
             tau[p, q] = abs(rate) * span if span > 0.0 else 1.0
-            bright[p, q] = span * max(at_low + rise * (entry - drift * near - low), 0.0)
-            dark[p, q] = span * max(at_low + rise * (entry - drift * deep - low), 0.0)
+            bright[p, q] = share * span * max(at_low + rise * (entry - drift * near - low), 0.0)
+            dark[p, q] = share * span * max(at_low + rise * (entry - drift * deep - low), 0.0)

@@ -30,8 +30,6 @@ CELL_MEAN_FREE_PATHS = 0.16
 CELL_BEAM_WIDTHS = 0.16
 THINNEST = 0.15  # of what is usual: thinner beams and layers are left to the measured error
 ANGLES = 34.0
-SECOND_ANGLES = 75.0
-WIDE_BEAM_MEAN_FREE_PATHS = 5.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,14 +40,11 @@ class Resolution:
     ----------
     cells_x, cells_y : multiples of four
     n_theta : directions, a multiple of sixteen
-    n_second : directions that the fluence of the second bounce, known in closed form, is summed
-        over; no more than n_theta means those of the light field
     """
 
     cells_x: int
     cells_y: int
     n_theta: int
-    n_second: int
 
     def __str__(self) -> str:
         return f"{self.cells_y} x {self.cells_x} cells and {self.n_theta} directions"
@@ -77,14 +72,12 @@ class Resolution:
             cells_x=_cells(self.cells_x * cells),
             cells_y=_cells(self.cells_y * cells),
             n_theta=_sixteens(self.n_theta * angles),
-            n_second=self.n_second,
         )
 
     def radiances(self, n_bounces: int) -> float:
         """Return how many radiances are computed, the coarser companions included."""
         nodes = (self.cells_x + 1.0) * (self.cells_y + 1.0)
-        of_second = self.n_second if self.n_second > self.n_theta else 0
-        return nodes * (1.15 * self.n_theta * max(n_bounces - 1, 0) + 0.5 * of_second)
+        return nodes * 1.15 * self.n_theta * max(n_bounces - 1, 0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,14 +102,12 @@ def guess(medium: Medium, tank: Tank, beam: Beam, tolerance: float) -> Resolutio
     by_path = CELL_MEAN_FREE_PATHS * peaked**0.45 * layer / sigma_t
     by_width = max(CELL_BEAM_WIDTHS * width, THINNEST * by_path)
     cell_mm = finer ** (-1.0 / 2.2) / math.hypot(1.0 / by_path, 1.0 / by_width)
-    narrow = max(1.0, WIDE_BEAM_MEAN_FREE_PATHS / (sigma_t * width)) ** 0.5
     forward = 1.0 - min(abs(medium.g), 0.9999)
     least = resolvable(medium.g)
     return Resolution(
         cells_x=_cells(tank.depth_mm / cell_mm),
         cells_y=_cells(tank.width_mm / cell_mm),
         n_theta=max(least, _sixteens(ANGLES / forward**0.5 * finer**0.55)),
-        n_second=max(least, _sixteens(SECOND_ANGLES * narrow / forward**0.6 * finer**0.6)),
     )
 
 

@@ -216,22 +216,21 @@ def march(
         moments = _together([part.scatter(moments, medium.sigma_t_per_mm, grid) for part in parts])
 
 
-def second_fluence(medium: Medium, beam: Beam, grid: Grid, *, n_theta: int) -> tuple[Array, Array]:
-    """Return the fluence of the second bounce, summed over every other direction of ``n_theta``.
+def second_fluence(medium: Medium, beam: Beam, grid: Grid, theta_rad: Array) -> Array:
+    """Return the fluence of the second bounce, (n_y, n_x), summed over equal steps of direction.
 
-    For a scattering coefficient of one. The two sums (n_y, n_x) are equally good; their mean is
-    the sum over all, and their difference tells how good that is.
+    In closed form at every node and direction, for a scattering coefficient of one.
     """
     beam = beam.entering(grid.tank)
-    theta = 2.0 * np.pi * (np.arange(n_theta) + 0.5) / n_theta
-    weight = phase_function(theta - math.radians(beam.angle_deg), medium.g, medium.phase)
-    places, (halves, one) = places_of(grid), np.zeros((2, 2, grid.n_y, grid.n_x))
-    for n in range(n_theta):
-        one[0] = 0.0
-        beam_integral(places, float(theta[n]), beam, grid.tank, medium.sigma_t_per_mm, one[0])
-        halves[n % 2] += weight[n] * one[0]
-    halves *= 4.0 * np.pi / n_theta
-    return halves[0], halves[1]
+    weight = phase_function(theta_rad - math.radians(beam.angle_deg), medium.g, medium.phase)
+    places, total = places_of(grid), np.zeros((grid.n_y, grid.n_x))
+    one = np.empty_like(total)
+    for theta, factor in zip(theta_rad, weight, strict=True):
+        one[:] = 0.0
+        beam_integral(places, float(theta), beam, grid.tank, medium.sigma_t_per_mm, one)
+        one *= factor
+        total += one
+    return total * (2.0 * np.pi / theta_rad.size)
 
 
 def _together(moments: list[Array]) -> Array:

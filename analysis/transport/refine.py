@@ -76,7 +76,7 @@ def solve_ordinates(
         change = relative_errors(middle, field.fluence)
         error = extrapolate(before, change)
         error[0] = 0.0
-        error[1] = _mend_second(field, grid, resolution.n_second, float(change[1]), tolerance)
+        error[1] = _mend_second(field, grid, float(change[1]), tolerance)
         worst = float(error[2:].max(initial=0.0))
         if worst <= tolerance:
             return replace(field, error_estimate=error)
@@ -113,26 +113,26 @@ def _precision(medium: Medium, tank: Tank, tolerance: float) -> DType:
     return np.float32 if tame and tolerance >= SINGLE_TOLERANCE else np.float64
 
 
-def _mend_second(
-    field: BounceField, grid: Grid, n_second: int, change: float, tolerance: float
-) -> float:
-    """Sum the second order over more directions where that is needed; return its error."""
+def _mend_second(field: BounceField, grid: Grid, change: float, tolerance: float) -> float:
+    """Sum the second order over more directions where that is needed; return its error.
+
+    Each round adds as many directions as there are, halfway between them. The sums over the old
+    and over the new ones are equally good: their difference tells how good both together are.
+    """
     fall = MARGIN / float(2.0**SECOND_RATE - 1.0)
-    n_theta, error = grid.n_theta, float(fall * change)
-    n_second = max(n_second, n_theta)
-    while n_second > n_theta or error > tolerance:
-        n_second = max(n_second, 2 * n_theta)
-        halves = second_fluence(field.medium, field.beam, grid, n_theta=n_second)
-        mean = 0.5 * (halves[0] + halves[1])
-        field.fluence[1] = field.medium.sigma_s_per_mm * mean
-        error = fall * max(relative_error(halves[0], mean), relative_error(halves[1], mean))
-        if error <= tolerance:
-            break
-        if n_second >= MAX_SECOND:
+    n, error, place = grid.n_theta, float(fall * change), 0.0
+    while error > tolerance:
+        if n > MAX_SECOND:
             msg = (
-                f"the second bounce is not found to {tolerance} with {n_second} directions, the "
+                f"the second bounce is not found to {tolerance} with {n} directions, the "
                 f"error is still {error:.2g}; ask for a looser tolerance."
             )
             raise AnalysisError(msg)
-        n_second *= 2
+        theta_rad = 2.0 * np.pi * (np.arange(n) + place) / n
+        added = second_fluence(field.medium, field.beam, grid, theta_rad)
+        added *= field.medium.sigma_s_per_mm
+        both = 0.5 * (field.fluence[1] + added)
+        error = fall * max(relative_error(field.fluence[1], both), relative_error(added, both))
+        field.fluence[1] = both
+        n, place = 2 * n, 0.5
     return error
