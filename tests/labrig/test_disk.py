@@ -220,5 +220,5 @@ def test_500_sessions_are_listed_quickly(tmp_path: Path) -> None:
     entries = catalogue(tmp_path)
     took_s = time.monotonic() - begun
     assert len([e for e in entries if e.state == "completed"]) == 500
-    # measured 1.0 s from nothing and 0.02 s from the index; R12 asks for 5 s
+    # measured 1.6 s from nothing and 0.08 s from the index on a busy machine; R12 asks for 5 s
     assert took_s < 10.0

@@ -150,7 +150,7 @@ def test_abort_reaches_into_waits_of_a_real_clock(step, tmp_path: Path) -> None:
         took_s = time.monotonic() - asked
         assert runner.status.state is State.ABORTED
         dark_and_let_go(rig, runner)
-    # measured 0.03 s
+    # measured 0.01 and 0.03 s
     assert took_s < 0.5
 
 
