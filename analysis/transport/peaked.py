@@ -7,6 +7,8 @@ one-dimensional forms, and misses only what is scattered aside.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from itertools import count, islice
 
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
@@ -14,7 +16,7 @@ from scipy.special import gammaln
 
 from analysis.errors import AnalysisError
 from analysis.light_field import BounceField, Grid
-from analysis.medium import Beam, Medium
+from analysis.medium import Beam, Medium, Tank
 from analysis.phase_function import Array
 from analysis.transport.beam import ballistic_fluence
 from analysis.transport.plane import carry, node_steps
@@ -65,11 +67,11 @@ def aside(g: float, n_bounces: int) -> Array:
     return np.minimum(ASIDE * (1.0 - abs(g)) * np.arange(n_bounces, dtype=np.float64), 1.0)
 
 
-def _forward(medium: Medium, path: Array, n_bounces: int) -> Array:
-    """Return exp(-sigma_t d) (sigma_s d)^(k-1) / (k-1)!, (K, n_y, n_x)."""
+def _forward(medium: Medium, path: Array, n_bounces: int, *, first: int = 1) -> Array:
+    """Return exp(-sigma_t d) (sigma_s d)^(k-1) / (k-1)! from bounce ``first``, (n, n_y, n_x)."""
     with np.errstate(divide="ignore"):
         log_depth = np.log(medium.sigma_s_per_mm * path)
-    k = np.arange(n_bounces)[:, None, None]
+    k = np.arange(first - 1, n_bounces)[:, None, None]
     power = np.where(k > 0, k * np.where(k > 0, log_depth, 0.0), 0.0) - gammaln(k + 1.0)
     return np.asarray(np.exp(power - medium.sigma_t_per_mm * path))
 
@@ -90,22 +92,51 @@ def _to_and_fro(medium: Medium, path: Array, length: Array, n_bounces: int) -> A
     sigma_s / (2 sigma_t) (exp(-sigma_t s) - exp(-sigma_t (2 W - s))).
     """
     longest = float(length.max())
-    lengths = np.linspace(longest / ROD_LENGTHS, longest, ROD_LENGTHS)
-    nodes = np.linspace(0.0, 1.0, ROD_NODES)
-    optical = medium.sigma_t_per_mm * lengths
-    beam = np.exp(-optical[:, None] * nodes)
-    radiance, rods = beam.astype(np.complex128), [beam]
-    there, back = (
-        node_steps(nodes, np.full(lengths.size, way), optical.astype(np.complex128))
-        for way in (1.0, -1.0)
-    )
-    scattered = medium.sigma_s_per_mm * lengths[:, None]
-    for k in range(2, n_bounces + 1):
-        onward = np.full(lengths.size, k % 2 == 1)
-        radiance = carry(scattered * radiance, onward, *(there if k % 2 else back))
-        rods.append(radiance.real)
+    lengths = np.linspace(0.0, longest, ROD_LENGTHS)
+    nodes = _rod_nodes(medium.sigma_t_per_mm * longest)
     share = np.divide(path, length, out=np.zeros(path.shape), where=length > 0.0)
     inside = (share <= 1.0 + 1e-9) & (length > 0.0)
-    at = (np.clip(length, lengths[0], None).ravel(), np.clip(share, 0.0, 1.0).ravel())
+    at = (length.ravel(), np.clip(share, 0.0, 1.0).ravel())
+    rods = islice(_rods(medium, lengths, nodes), n_bounces)
     found = [RectBivariateSpline(lengths, nodes, rod).ev(*at).reshape(path.shape) for rod in rods]
     return np.maximum(np.where(inside, found, 0.0), 0.0)
+
+
+def _rod_nodes(optical: float) -> Array:
+    """Return nodes along a rod of length one that crowd where the light enters, if it is thick."""
+    stretch = math.asinh(max(0.1 * optical, 1e-3))
+    return np.asarray(np.sinh(stretch * np.linspace(0.0, 1.0, ROD_NODES)) / math.sinh(stretch))
+
+
+def _rods(medium: Medium, lengths_mm: Array, nodes: Array) -> Iterator[Array]:
+    """Yield orders 1, 2, .. of rods at shares of their lengths, (n, n_nodes)."""
+    optical = medium.sigma_t_per_mm * lengths_mm
+    radiance = np.exp(-optical[:, None] * nodes).astype(np.complex128)
+    there, back = (
+        node_steps(nodes, np.full(lengths_mm.size, way), optical.astype(np.complex128))
+        for way in (1.0, -1.0)
+    )
+    scattered = medium.sigma_s_per_mm * lengths_mm[:, None]
+    for k in count(2):
+        yield radiance.real
+        onward = np.full(lengths_mm.size, k % 2 == 1)
+        radiance = carry(scattered * radiance, onward, *(there if k % 2 else back))
+
+
+def line_energies(medium: Medium, tank: Tank, beam: Beam) -> Iterator[float]:
+    """Yield the energy of orders 1, 2, .. on the longest line that the beam takes, mm.
+
+    In the limit of g's sign, as `solve_peaked` has it.
+    """
+    slant = math.radians(beam.angle_deg)
+    longest = tank.depth_mm / math.cos(slant)
+    if slant:
+        longest = min(longest, tank.width_mm / abs(math.sin(slant)))
+    nodes = _rod_nodes(medium.sigma_t_per_mm * longest)
+    if medium.g < 0.0:
+        rods = _rods(medium, np.array([longest]), nodes)
+        yield from (float(np.trapezoid(rod[0], nodes)) * longest for rod in rods)
+    else:
+        path = (nodes * longest)[None, :]
+        for k in count(1):
+            yield float(np.trapezoid(_forward(medium, path, k, first=k)[0, 0], path[0]))

@@ -48,7 +48,7 @@ def solve_ordinates(
         If a grid exceeds the memory, or the tolerance is not met by the last that was tried.
     """
     orders, tolerance, light_field = wanted.orders, wanted.tolerance, wanted.light_field
-    worst, dtype = math.nan, _precision(medium, tank, tolerance)
+    worst, dtype, angles = math.nan, _precision(medium, tank, tolerance), False
     for _ in range(MAX_ATTEMPTS):
         needed = field_bytes(resolution, orders, light_field=light_field)
         refuse_too_large(
@@ -68,7 +68,9 @@ def solve_ordinates(
         before = relative_errors(coarse, middle)
         foreseen = expected(before[2:]) / tolerance
         if foreseen > FORESIGHT:
-            angles = _angles_limit(medium, tank, beam, resolution, orders, dtype, middle, before)
+            angles = not angles and _angles_limit(
+                medium, tank, beam, resolution, orders, dtype, middle, before
+            )
             resolution = resolution.refined(min(foreseen, 64.0) ** 0.5, mostly_angles=angles)
             continue
         grid = resolution.grid(tank)
@@ -80,7 +82,10 @@ def solve_ordinates(
         worst = float(error[2:].max(initial=0.0))
         if worst <= tolerance:
             return replace(field, error_estimate=error)
-        angles = _angles_limit(medium, tank, beam, resolution, orders, dtype, middle, before)
+        # Directions alone never twice running: the cells may limit as much.
+        angles = not angles and _angles_limit(
+            medium, tank, beam, resolution, orders, dtype, middle, before
+        )
         resolution = resolution.refined(1.1 * (worst / tolerance) ** 0.5, mostly_angles=angles)
     msg = (
         f"a tolerance of {tolerance} was not met, the error is still {worst:.2g}; "

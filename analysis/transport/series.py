@@ -13,6 +13,7 @@ from analysis.medium import Beam, Medium, Tank
 from analysis.phase_function import power_removed
 from analysis.transport.choose import guess
 from analysis.transport.ordinates import march
+from analysis.transport.peaked import line_energies
 
 MAX_ORDERS = 400
 SERIES_ORDERS = 2000
@@ -34,7 +35,7 @@ def orders_needed(medium: Medium, tank: Tank, beam: Beam, tolerance: float) -> i
     if medium.sigma_s_per_mm == 0.0:
         return 1
     if abs(medium.g) > ALMOST_LIMIT:
-        return _orders_of_peaked(medium, tank, tolerance)
+        return _orders_of_peaked(medium, tank, beam, tolerance)
     grid = guess(medium, tank, beam, 0.1).coarser(tank, 2, medium.g)
     remaining = _energy(grid, medium, beam)
     total, previous, ratio = 0.0, math.nan, math.nan
@@ -81,15 +82,24 @@ def _energy(grid: Grid, medium: Medium, beam: Beam) -> Iterator[float]:
         yield float(radiance.fluence.sum()) * cell * math.exp(min(power, 600.0))
 
 
-def _orders_of_peaked(medium: Medium, tank: Tank, tolerance: float) -> int:
-    """Return how many terms of exp(sigma_s d) matter, g being near one in absolute value."""
-    depth = medium.sigma_s_per_mm * tank.depth_mm
-    k, term, total = 1, 1.0, 1.0
-    while term > 0.1 * tolerance * total or k < depth:
-        term *= depth / k
-        total += term
-        k += 1
-        if k > MAX_ORDERS:
-            msg = f"more than {MAX_ORDERS} bounces are needed; ask for a number of orders."
-            raise AnalysisError(msg)
-    return k
+def _orders_of_peaked(medium: Medium, tank: Tank, beam: Beam, tolerance: float) -> int:
+    """Return how many orders matter on the beam's own line, g being near one in absolute value."""
+    remaining = [0.0]
+    for k, energy in enumerate(line_energies(medium, tank, beam), start=1):
+        remaining.append(energy)
+        ratio = energy / remaining[-2] if k > 1 and energy else 0.0
+        tail = energy * ratio / (1.0 - ratio) if ratio < 1.0 else math.inf
+        if k > 1 and tail < 1e-2 * tolerance * sum(remaining):
+            break
+        if k == SERIES_ORDERS or not math.isfinite(energy):
+            break
+    if math.isfinite(tail):
+        left = np.cumsum([tail, *remaining[:0:-1]])[::-1]  # beyond orders 0, 1, ..
+        needed = int(np.argmax(left <= tolerance * left[0]))
+        if 0 < needed <= MAX_ORDERS:
+            return needed
+    msg = (
+        f"more than {MAX_ORDERS} bounces are needed for a tolerance of {tolerance}: "
+        "ask for a number of orders."
+    )
+    raise AnalysisError(msg)
