@@ -4,10 +4,10 @@ PYTHON ?= $(shell for p in python3.13 python3.12 python3.11 python3 /usr/bin/pyt
     >/dev/null 2>&1 && command -v $$p && break; done)
 BIN := .venv/bin
 HARDWARE_PACKAGES := xvfb x11-xserver-utils libxrandr2 libxss1 g++ gcc libc6-dev linux-libc-dev \
-    libusb-1.0-0 umockdev gir1.2-umockdev-1.0 python3-gi gir1.2-aravis-0.8 \
-    qemu-system-x86 busybox-static cpio kmod udev v4l-utils
+    libusb-1.0-0 umockdev gir1.2-umockdev-1.0 python3-gi gir1.2-aravis-0.8
+VM_PACKAGES := qemu-system-x86 busybox-static cpio kmod udev v4l-utils
 
-.PHONY: demo test hardware-packages genicam hardware-vm lint types contracts bench torture figures lock install clean
+.PHONY: demo test hardware-packages vm-packages genicam hardware-vm lint types contracts bench torture figures lock install clean
 
 demo: install  ## the main job on the simulated rig
 	@$(BIN)/labrig demo
@@ -38,6 +38,9 @@ figures: install  ## the pictures of the README, from a run of the demo
 
 hardware-packages:  ## Debian packages that the tests of the drivers need
 	apt-get install -qy --no-install-recommends $(HARDWARE_PACKAGES)
+
+vm-packages: hardware-packages  ## and those that the virtual machine needs
+	apt-get install -qy --no-install-recommends $(VM_PACKAGES)
 
 genicam: install  ## Aravis' Python binding into .venv: Debian's if the Pythons are alike, else built
 	@$(BIN)/python -c 'import gi' 2>/dev/null || \
