@@ -24,10 +24,12 @@ contracts: install
 bench: install  ## everything that is fast or slow
 	@$(BIN)/python -m pytest tests/benchmarks --benchmark-enable -q -s
 
-figures: install  ## the pictures of the README, from a run of the demo
+figures: install  ## the pictures of the README, from a run of the demo and of labrig accuracy
 	@rm -rf build/figures && $(BIN)/labrig demo --out build/figures >/dev/null
 	@mkdir -p docs/images && cp build/figures/*/*/results/*/figures/attenuation.png \
 	    build/figures/*/*/results/*/figures/light-field.png docs/images/
+	@$(BIN)/labrig accuracy solver configs/scenes/dilute-milk.yaml --out build/figures/accuracy
+	@cp build/figures/accuracy/solver.png docs/images/accuracy-cost.png
 
 install: .venv/installed
 

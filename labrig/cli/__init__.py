@@ -9,6 +9,7 @@ import typer
 from analysis.errors import AnalysisError
 from calibration.errors import CalibrationError
 from drivers.errors import DriverError
+from labrig.cli.accuracy import app as accuracy
 from labrig.cli.analyse import analyse, report
 from labrig.cli.capture import capture, import_, verify
 from labrig.cli.demo import demo
@@ -26,6 +27,7 @@ app = typer.Typer(
 for command in (demo, capture, verify, analyse, report, schema):
     app.command()(command)
 app.command(name="import")(import_)
+app.add_typer(accuracy, name="accuracy")
 
 
 def main() -> None:
