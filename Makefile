@@ -31,10 +31,12 @@ torture: install  ## 500 kills at random moments, 10 000 fuzzed files
 	@LABRIG_KILLS=500 LABRIG_FUZZ=2500 $(BIN)/python -m pytest -q -n auto \
 	    tests/labrig/test_resume.py tests/labrig/test_fuzz.py -k "kills_at_random or one_line"
 
-figures: install  ## the pictures of the README, from a run of the demo
+figures: install  ## the pictures of the README, from a run of the demo and of labrig accuracy
 	@rm -rf build/figures && $(BIN)/labrig demo --out build/figures >/dev/null
 	@mkdir -p docs/images && cp build/figures/*/*/results/*/figures/attenuation.png \
 	    build/figures/*/*/results/*/figures/light-field.png docs/images/
+	@$(BIN)/labrig accuracy solver configs/scenes/dilute-milk.yaml --out build/figures/accuracy
+	@cp build/figures/accuracy/solver.png docs/images/accuracy-cost.png
 
 hardware-packages:  ## Debian packages that the tests of the drivers need
 	apt-get install -qy --no-install-recommends $(HARDWARE_PACKAGES)

@@ -74,7 +74,7 @@ class Grid:
     @property
     def theta_rad(self) -> Array:
         """Directions of travel, (n_theta,)."""
-        return 2.0 * np.pi * (np.arange(self.n_theta) + 0.5) / self.n_theta
+        return equal_angles(self.n_theta)
 
     def average(self, picture: Array, pixel_mm: float) -> tuple[Array, Array]:
         """Return mean and number of a picture's finite pixels around each node, (n_y, n_x) both.
@@ -94,6 +94,11 @@ class Grid:
             mean = np.asarray(total / count, dtype=np.float64)
         shape = (self.n_y, self.n_x)
         return mean.reshape(shape), np.asarray(count, dtype=np.float64).reshape(shape)
+
+
+def equal_angles(n: int) -> Array:
+    """Return n directions at equal steps, none along an axis if n is a multiple of four."""
+    return np.asarray(2.0 * np.pi * (np.arange(n) + 0.5) / n)
 
 
 def _nearest(position: Array, nodes: Array) -> NDArray[np.int64]:
@@ -124,7 +129,7 @@ class Cells:
     @property
     def theta_rad(self) -> Array:
         """Centres of the angle bins, (n_theta,)."""
-        return 2.0 * np.pi * (np.arange(self.n_theta) + 0.5) / self.n_theta
+        return equal_angles(self.n_theta)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

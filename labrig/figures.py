@@ -22,6 +22,7 @@ from matplotlib.image import AxesImage
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from labrig import views
+from labrig.costs import Costs, Run
 from labrig.results import Result
 from labrig.views import Array, DecayView, Picture
 
@@ -43,6 +44,13 @@ ORDERS = (
     (PURPLE, (0, (5, 1, 1, 1, 1, 1)), "v"),
     (SKY, (0, (1.2, 1)), "P"),
 )
+METHODS = {  # of the cost of accuracy: colour, marker and its size
+    "exhaustive without self cell": (PURPLE, "v", 6.5),
+    "exhaustive with self cell": (ORANGE, "^", 6.5),
+    "montecarlo": (GREEN, "s", 6.0),
+    "ordinates": (SKY, "o", 4.5),
+    "ordinates, order 2 apart": (BLUE, "o", 4.5),
+}
 CROSS = "#ff7a66"  # a red that is bright enough for the dark end of cividis
 FAINTEST = 1e-6  # of all the light: bounces below are not drawn
 BAD = "#dfe3e7"  # where a picture holds nothing
@@ -202,6 +210,48 @@ def residual_figure(result: Result) -> Figure:
     for panel, title in zip(panels, whole, strict=True):
         panel.set_title(title)
     return figure
+
+
+def cost_figure(costs: Costs) -> Figure:
+    """Draw error against CPU seconds of every method, the front, and the automatic choices."""
+    with rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH_IN, 5.6), layout="constrained")
+        panel = figure.subplots()
+        panel.grid(color="#e8ebee", linewidth=0.8)
+        for method, (colour, marker, size) in METHODS.items():
+            points = [run for run in costs.runs if run.method == method]
+            _draw_runs(panel, points, marker, ms=size, color=colour, mec="white", mew=0.5)
+        front = [run for run in costs.runs if run.on_front]
+        _draw_runs(panel, front, "-", color=INK, lw=1.2, zorder=1.5, label="Pareto front")
+        chosen = [run for run in costs.runs if run.tolerance is not None]
+        looks = {"ms": 17, "color": RED, "mec": "white", "mew": 1.0, "zorder": 5}
+        _draw_runs(panel, chosen, "*", **looks, label="automatic choice")
+        for tolerance in [run.tolerance for run in chosen if run.tolerance is not None]:
+            panel.axhline(tolerance, color=RED, lw=0.9, linestyle=(0, (4, 3)), zorder=1)
+            text = f" asked {views.power_of_ten(tolerance)}"
+            across = panel.get_yaxis_transform()
+            panel.text(0.0, 1.08 * tolerance, text, color=RED, transform=across)
+        errors, times = ([getattr(run, name) for run in costs.runs] for name in ("error", "cpu_s"))
+        _logarithmic(panel, 0.5 * min(errors), 1.6 * max(errors))
+        known: dict[str, Any] = {
+            "color": BAD,
+            "lw": 0,
+            "zorder": 0,
+            "label": "below what the truth is known to",
+        }
+        panel.axhspan(0.1 * min(errors), costs.truth_error, **known)
+        panel.set(xscale="log", xlim=(0.6 * min(times), 2.2 * max(times)))
+        panel.xaxis.set_major_formatter(FuncFormatter(views.power_of_ten))
+        panel.set_title(f"what accuracy costs: {costs.scene}, orders 2 to {costs.orders}")
+        panel.set(xlabel="CPU seconds", ylabel="relative rms error of the worst order")
+        figure.legend(loc="outside lower center", ncols=4)
+        return figure
+
+
+def _draw_runs(panel: Axes, runs: list[Run], look: str, **looks: Any) -> None:
+    if runs:
+        looks = {"label": runs[0].method, **looks}
+        panel.plot([run.cpu_s for run in runs], [run.error for run in runs], look, **looks)
 
 
 FIGURES: dict[str, tuple[Draw, str]] = {

@@ -78,7 +78,8 @@ def solve_ordinates(
         change = relative_errors(middle, field.fluence)
         error = extrapolate(before, change)
         error[0] = 0.0
-        error[1] = _mend_second(field, grid, float(change[1]), tolerance)
+        halved = resolution.coarser(tank, 2, medium.g).n_theta < grid.n_theta
+        error[1] = _mend_second(field, grid, float(change[1]) if halved else None, tolerance)
         worst = float(error[2:].max(initial=0.0))
         if worst <= tolerance:
             return replace(field, error_estimate=error)
@@ -118,14 +119,16 @@ def _precision(medium: Medium, tank: Tank, tolerance: float) -> DType:
     return np.float32 if tame and tolerance >= SINGLE_TOLERANCE else np.float64
 
 
-def _mend_second(field: BounceField, grid: Grid, change: float, tolerance: float) -> float:
+def _mend_second(field: BounceField, grid: Grid, change: float | None, tolerance: float) -> float:
     """Sum the second order over more directions where that is needed; return its error.
 
-    Each round adds as many directions as there are, halfway between them. The sums over the old
+    ``change`` is what half as many directions made of it; None if nothing tells. Each round adds
+    as many directions as there are, halfway between them. The sums over the old
     and over the new ones are equally good: their difference tells how good both together are.
     """
     fall = MARGIN / float(2.0**SECOND_RATE - 1.0)
-    n, error, place = grid.n_theta, float(fall * change), 0.0
+    error = math.inf if change is None else fall * change
+    n, place = grid.n_theta, 0.0
     while error > tolerance:
         if n > MAX_SECOND:
             msg = (

@@ -9,6 +9,7 @@ import typer
 from analysis.errors import AnalysisError
 from calibration.errors import CalibrationError
 from drivers.errors import DriverError
+from labrig.cli.accuracy import app as accuracy
 from labrig.cli.analyse import analyse, report
 from labrig.cli.calibrate import app as calibrate
 from labrig.cli.capture import capture, import_, ls, resume, verify
@@ -45,6 +46,7 @@ for command in (
     app.command()(command)
 app.command(name="import")(import_)
 app.add_typer(calibrate, name="calibrate")
+app.add_typer(accuracy, name="accuracy")
 
 
 def main() -> None:

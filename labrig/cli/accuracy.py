@@ -1,0 +1,87 @@
+"""Commands that tell what accuracy is reached, and at what cost."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+import labrig
+from labrig.accuracy import cost_of_accuracy
+from labrig.cli.say import AsJson, bars, out_console, say, say_json
+from labrig.costs import Costs, Run, write_csv
+
+app = typer.Typer(help="What accuracy is reached, and what it costs.", rich_markup_mode=None)
+WITHIN = 1.3  # times its noise that a witness may differ: the noise itself is known to 18 %
+
+
+@app.callback()
+def accuracy() -> None:
+    """Keep the name of the only command."""
+
+
+@app.command()
+def solver(
+    scene: Annotated[Path, typer.Argument(help="Scene file.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder to write to.")] = Path("accuracy"),
+    orders: Annotated[int, typer.Option(help="Bounces, three or more.", min=3, max=20)] = 5,
+    as_json: AsJson = False,
+) -> None:
+    """Measure error and CPU seconds of every method and resolution on a scene."""
+    wanted = labrig.load_scene(scene)
+    out.mkdir(parents=True, exist_ok=True)
+    with bars() as follow:
+        costs = cost_of_accuracy(wanted, orders=orders, progress=follow)
+    table, stem = out / "solver.csv", out / "solver"
+    write_csv(costs, table)
+    from labrig.figures import cost_figure, save  # noqa: PLC0415 - matplotlib takes a second to load
+
+    save(cost_figure(costs), stem)
+    if as_json:
+        say_json(
+            {
+                **asdict(costs),
+                "verdicts": [asdict(verdict) for verdict in costs.verdicts()],
+                "csv": str(table),
+                "figure": str(stem.with_suffix(".png")),
+            }
+        )
+        return
+    _say_runs([run for run in costs.runs if run.on_front or run.tolerance is not None])
+    _say_truth(costs)
+    for verdict in costs.verdicts():
+        beside = "no setting tried meets it"
+        if verdict.cheapest is not None:
+            beside = (
+                f"{verdict.ratio:.2f} times the cheapest that does ({verdict.cheapest.setting})"
+            )
+        say(f"tolerance {verdict.tolerance:g}: {verdict.outcome}; {beside}")
+    for note in costs.notes:
+        say(f"note: {note}")
+    say(f"table   {table}")
+    say(f"figure  {stem.with_suffix('.png')}")
+
+
+def _say_runs(runs: list[Run]) -> None:
+    table = Table(title="the Pareto front, and the automatic choices")
+    for heading in ("method", "setting", "CPU s", "error", "order", "stated"):
+        table.add_column(heading, justify="left" if heading in ("method", "setting") else "right")
+    for run in runs:
+        stated = "" if run.stated is None else f"{run.stated:.2g}"
+        numbers = f"{run.cpu_s:.3g}", f"{run.error:.2g}", f"{run.worst_order}", stated
+        table.add_row(run.method, run.setting, *numbers)
+    out_console.print(table)
+
+
+def _say_truth(costs: Costs) -> None:
+    say(f"truth: order 2 in closed form, the others extrapolated, to {costs.truth_error:.1g}")
+    for one in costs.witnesses:
+        agrees = one.difference <= WITHIN * one.noise
+        verdict = "within its noise" if agrees else "MORE than its noise"
+        say(
+            f"order {one.order}: the Monte Carlo differs by {one.difference:.2g} rms, its noise is "
+            f"{one.noise:.2g}: {verdict}"
+        )
