@@ -67,7 +67,7 @@ class Resolution:
 
     def refined(self, times: float, *, mostly_angles: bool) -> Resolution:
         """Return this resolution refined, in cells or in directions, a little in the others."""
-        cells, angles = (1.0, times) if mostly_angles else (times, math.sqrt(times))
+        cells, angles = (math.sqrt(times), times) if mostly_angles else (times, math.sqrt(times))
         return Resolution(
             cells_x=_cells(self.cells_x * cells),
             cells_y=_cells(self.cells_y * cells),

@@ -25,7 +25,7 @@ from analysis.transport.choose import (
 )
 from analysis.transport.ordinates import DType, second_fluence, solve_on
 
-MAX_ATTEMPTS = 6
+MAX_ATTEMPTS = 8
 MAX_SECOND = 16384
 ANGLE_SHARE = 0.2  # of the coarser difference, which is some four times the finer one
 FORESIGHT = 3.0  # times the tolerance that coarse grids may foresee before a fine one is tried
