@@ -26,7 +26,7 @@ LARGEST = 600.0  # logarithm; leaves room for sums
 DType = type[np.float32] | type[np.float64]
 
 BLOCK = 32  # directions whose sources are held at a time
-NEGLIGIBLE = 1e-6  # moments of the phase function below this share of the first scatter nothing
+NEGLIGIBLE = 1e-5  # moments of the phase function below this share of the first scatter nothing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
