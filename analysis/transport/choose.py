@@ -20,7 +20,7 @@ from analysis.phase_function import UNRESOLVED, Array
 BRIGHT = 1e-2  # nodes darker than this share of an order's maximum do not count
 RATES = (1.0, 2.3)  # powers of the cell that errors fall with; others are not believed
 USUAL_RATE = 2.0
-MARGIN = 1.2  # stated error over the one extrapolated: of 60 orders the worst needs 1.1
+MARGIN = 1.1  # stated error over the one extrapolated
 SECOND_RATE = 1.6  # power of the number of directions that the second order's error falls with
 
 WORKING_FIELDS = 3  # light fields that a solution takes beside those returned
