@@ -2,6 +2,7 @@
 
 import threading
 import time
+from contextlib import suppress
 
 import pytest
 from emulated.firmware import compile_firmware
@@ -128,9 +129,10 @@ def test_unplugging_is_an_error_of_its_own_and_replugging_mends_it(bed, program,
     def fire_on():
         end = time.monotonic() + 3.0
         while time.monotonic() < end:
-            trigger.fire(deadline_s=in_s(1.0), cancel=NEVER)
+            with suppress(TriggerNotFiredError):  # the pulse before is still under way
+                trigger.fire(deadline_s=in_s(1.0), cancel=NEVER)
 
-    with pytest.raises((DeviceLostError, TriggerNotFiredError), match=r"gone|under way"):
+    with pytest.raises(DeviceLostError, match="gone"):
         fire_on()
     with pytest.raises(DeviceLostError, match="gone"):
         trigger.counters()
