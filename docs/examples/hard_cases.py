@@ -60,7 +60,7 @@ def cases() -> list[tuple[str, Medium, Tank, Beam, dict[str, object], Truth | No
     usual: dict[str, object] = {"orders": 4, "tolerance": 1e-2}
     found: list[tuple[str, Medium, Tank, Beam, dict[str, object], Truth | None]] = []
     for g in (-1.0, -0.999999, -0.95, 0.0, 0.95, 0.99, 0.999999, 1.0):
-        truth = {1.0: forward, 0.999999: forward, -1.0: backward, -0.999999: backward}.get(g)
+        truth = {1.0: forward, -1.0: backward}.get(g)
         found.append((f"g = {g:g}", medium(g=g), TANK, BEAM, usual, truth))
     for albedo in (0.0, 0.999, 1.0):
         found.append((f"albedo {albedo:g}", medium(albedo=albedo), TANK, BEAM, usual, None))

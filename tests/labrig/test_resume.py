@@ -195,8 +195,8 @@ def test_a_session_being_written_is_not_resumed(tmp_path: Path) -> None:
         begun = time.monotonic()
         with pytest.raises(SessionLockedError, match=f"pid {os.getpid()}"):
             reopen(writer.path)
-        # measured 1.5 ms; R6 asks for 100, and a loaded machine is given more
-        assert time.monotonic() - begun < 1.0
+        # measured 1.5 ms; R6 asks for 100
+        assert time.monotonic() - begun < 0.1
 
 
 def test_recovery_of_672_frames_is_quick(tmp_path: Path) -> None:
