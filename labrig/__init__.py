@@ -34,6 +34,7 @@ from labrig.models.calibration import BoardFile, RecordFile
 from labrig.models.plan import Plan
 from labrig.models.rig import Rig
 from labrig.models.scene import Scene
+from labrig.models.series import Concentrations
 from labrig.pipeline import Until
 from labrig.results import Result
 from labrig.rig import OpenRig
@@ -91,6 +92,11 @@ def load_rig(path: StrPath) -> Rig:
 def load_scene(path: StrPath) -> Scene:
     """Read a scene file; raise `labrig.errors.ConfigError` naming file and key."""
     return _config.load(Path(path), Scene)
+
+
+def load_series(path: StrPath) -> Concentrations:
+    """Read the concentrations of a series; raise `labrig.errors.ConfigError` if it is none."""
+    return _config.load(Path(path), Concentrations)
 
 
 def load_analysis(path: StrPath) -> Analysis:
