@@ -29,7 +29,8 @@ from labrig.rig import OpenRig
 from labrig.run_log import RunLog, need
 from labrig.run_state import TAKES, Command, Finish, State, Status
 from labrig.sequence import AttemptError, Cause, Sequencer, Step
-from labrig.session_writer import Item, SessionWriter
+from labrig.session_items import Item
+from labrig.session_writer import SessionWriter
 
 PATIENCE_S = 10.0  # the longest that finishing may wait for the disk
 MIN_FAILURES = 3  # a short run may have as many without being stopped by their share
@@ -155,6 +156,7 @@ class Runner(RunLog):
             try:
                 if left:
                     self._take_block(left[0])
+                    self._boundary(left[0])
                 else:
                     need(self._keeper).drain(PATIENCE_S)
                     self._boundary(blocks[-1])

@@ -18,7 +18,8 @@ from labrig.models.scene import Scene
 from labrig.rig import connect
 from labrig.run_state import Command, State
 from labrig.sequence import Step
-from labrig.session_writer import Item, SessionWriter
+from labrig.session_items import Item
+from labrig.session_writer import SessionWriter
 
 SCENE = {
     "schema": "labrig-scene/1",

@@ -65,7 +65,16 @@ def test_latency_capture_resume_and_list(command, small_plan, small_rig, small_s
     (path,) = (tmp_path / "data").glob("*/*/")
     said = command("ls", tmp_path / "data", "--json")
     assert [(e["state"], e["saved"]) for e in json.loads(said.out)] == [("aborted", 16)]
-    said = command("resume", path)
+    other = tmp_path / "other.yaml"
+    other.write_text(small_rig.read_text().replace("refresh_hz: 60", "refresh_hz: 75"))
+    said = command("resume", path, "--rig", other)
+    assert said.code == 4
+    assert "refresh_hz was 60.0, is 75.0" in said.err
+    # measured anew meanwhile, which is no other rig
+    again = shutil.copy(small_rig, tmp_path / "again.yaml")
+    devices = ("--rig", again, "--scene", small_scene)
+    assert command("calibrate", "latency", small_plan, *devices, "--flips", 20).code == 0
+    said = command("resume", path, "--rig", again)
     assert (said.code, said.out.strip()) == (0, str(path)), said.err
     assert command("verify", path).code == 0
     assert json.loads(command("ls", tmp_path / "data", "--json").out)[0]["state"] == "completed"

@@ -18,7 +18,8 @@ from labrig.disk import Disk
 from labrig.keeper import Keeper
 from labrig.run_state import Command, State
 from labrig.session import Session, verify
-from labrig.session_writer import Item, SessionWriter
+from labrig.session_items import Item
+from labrig.session_writer import SessionWriter
 
 CALLS = ("open", "write", "fsync", "fdatasync", "replace")
 SHORT = -1  # in place of an errno: the call writes half

@@ -25,7 +25,8 @@ from labrig import keeper
 from labrig.catalogue import catalogue
 from labrig.run_state import State
 from labrig.session import Session, verify
-from labrig.session_writer import Item, SessionWriter
+from labrig.session_items import Item
+from labrig.session_writer import SessionWriter
 
 # `make torture` cuts at every flush and twice between
 CUTS = int(os.environ.get("LABRIG_CUTS", "20"))

@@ -18,8 +18,9 @@ from labrig.errors import RunError, SessionError, SessionLockedError
 from labrig.run_state import Command, State
 from labrig.sequence import Step
 from labrig.session import Session, verify
+from labrig.session_items import Item
 from labrig.session_recovery import reopen
-from labrig.session_writer import Item, SessionWriter
+from labrig.session_writer import SessionWriter
 
 # `make torture` kills 500 times
 KILLS = int(os.environ.get("LABRIG_KILLS", "50"))
@@ -179,6 +180,8 @@ def test_resume_refuses_another_camera_naming_the_difference(tmp_path: Path) -> 
         toy.resume(path, camera={"seed": 2})
     with pytest.raises(RunError, match=r"refresh_hz was 60\.0, is 75\.0"):
         toy.resume(path, projector={"refresh_hz": 75})
+    with pytest.raises(RunError, match=r"geometry\.mm_per_px was 0\.5, is 0\.4"):
+        toy.resume(path, geometry={"mm_per_px": 0.4})
     assert sorted(p.name for p in path.rglob("*")) == before
 
 
