@@ -23,6 +23,7 @@ from labrig.session import Session
 Array = NDArray[np.float64]
 T = TypeVar("T", bound=np.generic)
 
+STEADY = 0.01  # change of the references' light that is not worth a note
 LIGHT = frozenset({"stripes", "white", "black", "ambient"})  # roles that are merged and separated
 
 
@@ -353,8 +354,22 @@ def _notes(
         notes.append("There are no dark frames: the declared black level is the offset.")
     if "flat" in roles and known.flat is None:
         notes.append("Flat frames are in the session: make a record of them and name it.")
+    notes += _lamp(session)
     notes += _short_exposures(session, known)
     return notes
+
+
+def _lamp(session: Session) -> list[str]:
+    """Return a note on a projector whose light changed while its references were taken."""
+    told = [e["reference"] for e in session.events if isinstance(e.get("reference"), dict)]
+    light_dn = [float(r["light_dn"]) for r in told if isinstance(r.get("light_dn"), int | float)]
+    change = max(light_dn, default=0.0) / max(min(light_dn, default=0.0), 1e-9) - 1.0
+    if len(light_dn) < 2 or change < STEADY:
+        return []
+    return [
+        f"The projector's light changed by {100 * change:.1f} % during the capture; what was "
+        "separated is uncertain by as much."
+    ]
 
 
 def _short_exposures(session: Session, known: Corrections) -> list[str]:

@@ -96,10 +96,10 @@ def test_overhead_of_a_capture_in_real_time(benchmark, tmp_path: Path, monkeypat
     marks: list[tuple[float, float, float, str]] = []
 
     def mark(event) -> None:
-        step = event.kind == "step" and event.status.shot
-        if step or (event.kind == "state" and event.status.state is State.FINISHING):
+        ended = not marks or marks[-1][3] == "end"
+        if event.kind == "step" and (event.status.shot or not ended):
             now = (time.monotonic(), time.thread_time(), clock.late_s)
-            marks.append((*now, str(event.status.step) if step else "end"))
+            marks.append((*now, str(event.status.step) if event.status.shot else "end"))
 
     with connect(config, parse(SCENE, Scene, source="scene"), light) as rig:
         clock = rig._world.clock = Watched(rig.clock)
