@@ -69,7 +69,7 @@ def forked(work, kill_after_s: float | None) -> tuple[list[str], int]:
         return stream.read().split(), os.WTERMSIG(status)
 
 
-def test_kills_at_random_moments_lose_nothing(unbroken, tmp_path: Path) -> None:
+def test_r1_kills_at_random_moments_lose_nothing(unbroken, tmp_path: Path) -> None:
     rng = random.Random(5)  # noqa: S311 - moments of death need no secrecy
     kills = 0
     while kills < KILLS:
@@ -108,7 +108,7 @@ def test_kills_at_random_moments_lose_nothing(unbroken, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("step", [Step.SHOW, Step.EXPOSE, Step.COLLECT, Step.COMMIT])
-def test_killed_at_a_step_it_resumes_to_the_same_frames(step, unbroken, tmp_path: Path) -> None:
+def test_r1_killed_at_a_step_it_resumes_to_the_same_frames(step, unbroken, tmp_path: Path) -> None:
     fault = {"kind": "kill", "shot": "stripes-e1-r0-p01", "step": step}
     _, how = forked(lambda _say: toy.capture(tmp_path, fault), None)
     assert how == signal.SIGKILL
@@ -193,7 +193,7 @@ def test_damage_inside_the_journal_is_not_resumed(tmp_path: Path) -> None:
         toy.resume(path)
 
 
-def test_a_session_being_written_is_not_resumed(tmp_path: Path) -> None:
+def test_r6_a_session_being_written_is_not_resumed(tmp_path: Path) -> None:
     with SessionWriter.create(tmp_path, "s", {"shots": [{"id": "a"}]}) as writer:
         begun = time.monotonic()
         with pytest.raises(SessionLockedError, match=f"pid {os.getpid()}"):
@@ -202,7 +202,7 @@ def test_a_session_being_written_is_not_resumed(tmp_path: Path) -> None:
         assert time.monotonic() - begun < 0.1
 
 
-def test_recovery_of_672_frames_is_quick(tmp_path: Path) -> None:
+def test_r8_recovery_of_672_frames_is_quick(tmp_path: Path) -> None:
     shots = [{"id": f"s{n}"} for n in range(672)]
     picture = np.random.default_rng(1).integers(0, 4096, (64, 64), dtype=np.uint16)
     writer = SessionWriter.create(tmp_path, "many", {"shots": shots})

@@ -56,7 +56,7 @@ def test_seal_counts_frames_and_gives_up_the_reserve(sealed: Path) -> None:
     assert not (sealed / "reserve.bin").exists()
 
 
-def test_frames_read_alike_in_tifffile_opencv_and_pillow(sealed: Path) -> None:
+def test_r9_frames_read_alike_in_tifffile_opencv_and_pillow(sealed: Path) -> None:
     file = sealed / "frames" / f"{SHOTS[3]}.tif"
     np.testing.assert_array_equal(tifffile.imread(file), picture(3))
     np.testing.assert_array_equal(cv2.imread(str(file), cv2.IMREAD_UNCHANGED), picture(3))

@@ -54,7 +54,7 @@ FRAME_DAMAGE: dict[str, tuple[Callable[[Path], object], set[str]]] = {
 
 @pytest.mark.parametrize("kind", FRAME_DAMAGE)
 @pytest.mark.parametrize("state", ["sealed", "interrupted"])
-def test_damaged_frame_is_named_and_never_read(
+def test_r5_damaged_frame_is_named_and_never_read(
     kind: str, state: str, request: pytest.FixtureRequest
 ) -> None:
     path: Path = request.getfixturevalue(state)
@@ -126,7 +126,7 @@ OTHER_DAMAGE: dict[str, tuple[Callable[[Path], object], set[str]]] = {
 
 
 @pytest.mark.parametrize("kind", OTHER_DAMAGE)
-def test_damage_beside_the_frames_is_named(kind: str, sealed: Path) -> None:
+def test_r5_damage_beside_the_frames_is_named(kind: str, sealed: Path) -> None:
     damage, named = OTHER_DAMAGE[kind]
     damage(sealed)
     problems = verify(sealed)
@@ -138,7 +138,7 @@ def test_damage_beside_the_frames_is_named(kind: str, sealed: Path) -> None:
 
 
 @pytest.mark.parametrize("state", ["sealed", "interrupted"])
-def test_any_flipped_byte_is_noticed(state: str, request: pytest.FixtureRequest) -> None:
+def test_r5_any_flipped_byte_is_noticed(state: str, request: pytest.FixtureRequest) -> None:
     path: Path = request.getfixturevalue(state)
     before = blamed(path)
     rng = np.random.default_rng(4)

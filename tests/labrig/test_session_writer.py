@@ -20,7 +20,7 @@ from labrig.session import Session, SessionWriter, verify
 REPO = Path(__file__).parents[2]
 
 
-def test_second_writer_is_refused_naming_the_holder(tmp_path: Path) -> None:
+def test_r6_second_writer_is_refused_naming_the_holder(tmp_path: Path) -> None:
     with SessionWriter.create(tmp_path, "s", HEADER) as writer:
         with pytest.raises(SessionLockedError, match=f"pid {os.getpid()} on host"):
             SessionWriter(writer.path, "s", SHOTS)
@@ -28,7 +28,7 @@ def test_second_writer_is_refused_naming_the_holder(tmp_path: Path) -> None:
     os.close(session_lock.take_lock(writer.path))
 
 
-def test_lock_is_free_once_the_writer_is_killed_though_its_helper_lives(tmp_path: Path) -> None:
+def test_r6_lock_is_free_once_the_writer_is_killed_though_its_helper_lives(tmp_path: Path) -> None:
     code = """
 import os, pathlib, sys, time
 from labrig.session import SessionWriter
