@@ -167,5 +167,6 @@ def test_commit_costs_little_cpu(benchmark, group, tmp_path: Path):
             f"\ncommit in groups of {group}: {1e3 * cpu_s / n:.1f} ms CPU a frame, "
             f"{n / took_s:.0f} frames/s"
         )
-        assert cpu_s / n < 0.015
+        # measured 4.8 and 3.7 ms, on a busy machine 5.2 and 4.8 ms; R8 asks for 5
+        assert cpu_s / n < 0.006
         assert n / took_s > 15.0

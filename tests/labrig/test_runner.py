@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 import toy
 
+from drivers.errors import DeadlineError
 from labrig.run_state import ENDS, NEXT, TAKES, Command, Event, State
 from labrig.sequence import Step
 from labrig.session import Session, verify
@@ -149,6 +150,33 @@ def test_abort_reaches_into_waits_of_a_real_clock(step, tmp_path: Path) -> None:
         dark_and_let_go(rig, runner)
     # measured 0.01 and 0.03 s
     assert took_s < 0.5
+
+
+def test_abort_waits_no_longer_than_a_deaf_drivers_deadline(tmp_path: Path) -> None:
+    """A driver that hears no cancel still ends at its deadline; the run ends with it."""
+    with toy.rig_of() as rig:
+        runner = toy.prepare(toy.plan_of(), rig, tmp_path)
+        show, deaf, asked = rig.projector.show, [], []
+
+        def show_late(handle, *, deadline_s, cancel):
+            if runner.status.shot == SHOT:
+                deaf.append(deadline_s - rig.now_s())
+                asked.append(time.monotonic())
+                runner.post(Command.ABORT)
+                time.sleep(deaf[0])
+                msg = "the projector did not answer before its deadline"
+                raise DeadlineError(msg)
+            return show(handle, deadline_s=deadline_s, cancel=cancel)
+
+        rig.projector.show = show_late
+        finish, session = run_in_thread(runner)
+        took_s = time.monotonic() - asked[0]
+        dark_and_let_go(rig, runner)
+    assert finish.status.state in (State.ABORTED, State.FAILED)
+    assert deaf == [1.0]
+    # measured 1.02 s on a busy machine
+    assert took_s < 0.5 + deaf[0]
+    assert len(session.frames) == 2
 
 
 def test_ctrl_c_twice_does_no_harm(tmp_path: Path) -> None:
