@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import zlib
 from pathlib import Path
@@ -62,6 +63,23 @@ def test_r9_frames_read_alike_in_tifffile_opencv_and_pillow(sealed: Path) -> Non
     np.testing.assert_array_equal(cv2.imread(str(file), cv2.IMREAD_UNCHANGED), picture(3))
     with Image.open(file) as image:
         np.testing.assert_array_equal(np.asarray(image), picture(3))
+
+
+def test_r9_frames_of_any_size_and_text_read_alike() -> None:
+    rng = np.random.default_rng(9)
+    for n in range(30):
+        rows, cols = rng.integers(1, 50, 2)
+        pixels = rng.integers(0, 65536, (rows, cols), dtype=np.uint16)
+        content = session_format.tiff(pixels, {"note": "ü" * n})
+        with tifffile.TiffFile(io.BytesIO(content)) as found:
+            (page,) = found.pages
+            assert (page.compression, page.photometric, page.software) == (1, 1, "labrig")
+            assert json.loads(page.description)["note"] == "ü" * n
+            np.testing.assert_array_equal(page.asarray(), pixels)
+        by_opencv = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+        np.testing.assert_array_equal(by_opencv, pixels)
+        with Image.open(io.BytesIO(content)) as image:
+            np.testing.assert_array_equal(np.asarray(image), pixels)
 
 
 def test_frame_says_in_itself_what_it_is(sealed: Path) -> None:
