@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Literal
 
 from labrig.config import parse
-from labrig.corrections import gather
-from labrig.linearise import linearise, rectify
+from labrig.corrections import gather, shone
+from labrig.linearise import linearise
 from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
 from labrig.record import Outcome, fields_of, run_of
+from labrig.rectify import rectify
 from labrig.results import Result, read_results, write_results
 from labrig.session import Session
 from labrig.steps import attenuate, explain, render_bounces, separate
@@ -64,7 +65,7 @@ def analyse(
     config = config or Analysis.model_validate({"schema": "labrig-analysis/1"})
     session = Session.open(session_path)
     setup = parse(session.header.get("setup"), Setup, source=f"{session_path}: setup")
-    known = gather(session, setup, config)
+    setup, known = shone(setup, gather(session, setup, config))
     decay = explained = None
 
     watch.start("linearise")

@@ -19,9 +19,9 @@ from analysis.light_field import BounceField
 from analysis.profile import DepthProfile
 from analysis.separation_quality import closure, harmonic_ratio, stripe_residue
 from labrig.corrections import Corrections
-from labrig.linearise import Pictures
 from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
+from labrig.rectify import Pictures
 from labrig.results import Field
 from labrig.session import Session
 from labrig.steps import Decay, Explained, Separated

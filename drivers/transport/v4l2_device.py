@@ -114,6 +114,8 @@ class VideoDevice:
         if (taken.width, taken.height, taken.letters) != (width, height, letters):
             msg = f"{width}x{height} {letters} asked, {taken.width}x{taken.height} {taken.letters}"
             raise UnfitError(msg + " taken")
+        if roi is not None:
+            self._refuse_other_region(roi)  # a new size may have moved it
         return FrameFormat(
             width=taken.width,
             height=taken.height,
@@ -139,6 +141,9 @@ class VideoDevice:
                 raise
             msg = f"region {roi} asked, this camera offers none"
             raise UnfitError(msg) from error
+        self._refuse_other_region(roi)
+
+    def _refuse_other_region(self, roi: Roi) -> None:
         taken = self._selection(v4l2.SEL_TGT_CROP)
         if taken != roi:
             msg = f"region {roi} asked, {taken} taken"

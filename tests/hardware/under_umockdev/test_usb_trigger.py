@@ -158,6 +158,9 @@ def test_two_of_a_kind_are_told_apart_by_serial_number(bed, program):
     trigger.open()
     trigger.configure(TriggerSettings())
     trigger.fire(deadline_s=in_s(1.0), cancel=NEVER)
+    time.sleep(trigger.snapshot()["pulse_s"])
+    for _ in range(2):  # the firmware's loop has gone round since, and has ended the pulse
+        trigger.counters()
     trigger.close()
     assert len(usb_devices()) == 2
     edges = [device.box.unplug() for device in devices]
