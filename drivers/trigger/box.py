@@ -199,9 +199,11 @@ class BoxTrigger:
             If nothing answers, or something else does.
         """
         end_s = time.monotonic() + self._boot_s + REPLY_S
+        # what is sent to a boot loader is lost; a box that does not boot is given all its time
+        patience_s = ASK_AGAIN_S if self._boot_s > 0.0 else REPLY_S
         while True:
             try:
-                words = self._ask("id", patience_s=ASK_AGAIN_S)
+                words = self._ask("id", patience_s=patience_s)
                 break
             except (DeadlineError, _RefusedError) as error:
                 if time.monotonic() < end_s:

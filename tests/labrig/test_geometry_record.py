@@ -117,7 +117,7 @@ def test_entry_face_and_beam_of_a_geometry_record_are_the_defaults_of_an_analysi
     setup = parse(session.header["setup"], Setup, source="setup")
     known = gather(session, setup, Analysis.model_validate({"schema": "labrig-analysis/1"}))
     pictures = rectify(linearise(session, setup, known), session, setup, known)
-    # atan 0.1; measured worst 5.72
+    # atan 0.1; measured 5.692 to 5.729
     assert pictures.beam_angle_deg == pytest.approx(5.711, abs=0.05)
     # the first column is lit: the region begins at the face
     assert pictures.white is not None
