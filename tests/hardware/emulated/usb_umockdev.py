@@ -10,6 +10,7 @@ import errno
 import gc
 import struct
 import threading
+import time
 
 import gi
 
@@ -90,6 +91,7 @@ class Port(UMockdev.IoctlBase):
                 return self._discard(arg.resolve(0, URB_BYTES).client_addr)
             elif reaping:
                 if not self._done:
+                    time.sleep(1e-3)  # libusb asks at once again, and would starve who is to answer
                     return -1, errno.EAGAIN
                 arg.resolve(0, 8).set_ptr(0, self._done.pop(0))
             else:
