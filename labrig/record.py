@@ -21,9 +21,9 @@ from analysis.separation_quality import closure, harmonic_ratio, stripe_residue
 from analysis.stripe_aware import StripeAware
 from labrig.corrections import Corrections
 from labrig.joint_step import Joint
-from labrig.linearise import Pictures
 from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
+from labrig.rectify import Pictures
 from labrig.results import Field
 from labrig.session import Session
 from labrig.steps import Decay, Explained, Separated
