@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera.protocol import Camera, CameraCapabilities, TriggerMode
-from drivers.camera.simulated import Sensor, SimulatedCamera
+from drivers.camera.simulated import SimulatedCamera
 from drivers.projector.protocol import Image, PatternHandle, Projector, ProjectorCapabilities
 from drivers.projector.simulated import SimulatedProjector
 from drivers.simulation.clock import VirtualClock
@@ -34,7 +34,6 @@ from labrig.models.rig import (
     SimulatedTriggerConfig,
 )
 from labrig.models.scene import Scene
-from labrig.plan import stripes_of
 from labrig.real_devices import (
     RealWorld,
     ask_operator,
@@ -43,7 +42,7 @@ from labrig.real_devices import (
     make_trigger,
 )
 from labrig.scene.picture import Picture, Truth
-from labrig.scene.response import tank_response
+from labrig.scene.pipeline import see, sensor_of
 from labrig.simulated_disk import SimulatedDisk
 
 TRIGGER_MODES: dict[str, TriggerMode] = {
@@ -120,7 +119,7 @@ class OpenRig:
         if self.picture is None:
             msg = f"rig {self.config.name!r} is real: what its light is made of is not known."
             raise RunError(msg)
-        return self.picture.truth(self.config.projector.black_level)
+        return self.picture.truth(self.picture.black_level)
 
     def snapshot(self) -> dict[str, Any]:
         """Return identities and settings of all devices, read back."""
@@ -203,13 +202,9 @@ def open_rig(
     RunError, PlanError, DriverError
         If scene, rig and plan do not fit one another.
     """
-    stripes = stripes_of(plan)
     if not isinstance(rig.camera, SimulatedCameraConfig):
         return _connect_real(rig, scene, latency)
-    response = tank_response(
-        scene, period_mm=stripes.period_px * rig.projection.mm_per_px, progress=progress
-    )
-    picture = Picture(scene, rig, response, period_px=stripes.period_px)
+    picture = see(scene, rig, plan, progress=progress)
     return connect(rig, scene, picture, latency)
 
 
@@ -224,7 +219,7 @@ def connect(
         msg = f"rig {rig.name!r} mixes simulated and real devices; they do not see one another."
         raise RunError(msg)
     world = _world(rig, rig.projector, picture)
-    camera = SimulatedCamera(_sensor(rig.camera), world, seed=rig.camera.seed)
+    camera = SimulatedCamera(sensor_of(rig.camera), world, seed=rig.camera.seed)
     projector = SimulatedProjector(
         projector_capabilities(rig, latency),
         world,
@@ -321,8 +316,3 @@ def _world(rig: Rig, projector: SimulatedProjectorConfig, picture: Picture) -> W
         fade_s=projector.fade_s,
         faults=FaultScript(Fault(**fault.model_dump()) for fault in simulation.faults),
     )
-
-
-def _sensor(c: SimulatedCameraConfig) -> Sensor:
-    figures = c.model_dump(include=set(Sensor.__dataclass_fields__))
-    return Sensor(**figures, reports_exposure=c.exposure_report == "per-frame")

@@ -48,7 +48,9 @@ class LightConfig(Model):
 class TransportConfig(Model):
     """How the multiple scattering of a simulated scene is computed."""
 
-    method: Literal["montecarlo"] = "montecarlo"
+    method: Literal["montecarlo", "ordinates"] = Field(
+        "montecarlo", description="montecarlo is independent of the analysis, ordinates is not"
+    )
     n_paths: int = Field(3_000_000, ge=1000)
     cell_mm: Positive = 0.5
     seed: int = 1
