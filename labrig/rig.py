@@ -16,7 +16,6 @@ from drivers.projector.protocol import Image, PatternHandle, Projector, Projecto
 from drivers.projector.simulated import SimulatedProjector
 from drivers.simulation.clock import VirtualClock
 from drivers.simulation.faults import Fault, FaultScript
-from drivers.simulation.lamp import Lamp
 from drivers.simulation.world import World
 from drivers.trigger.protocol import Trigger, TriggerSettings
 from drivers.trigger.simulated import SimulatedTrigger
@@ -42,7 +41,7 @@ from labrig.real_devices import (
     make_trigger,
 )
 from labrig.scene.picture import Picture, Truth
-from labrig.scene.pipeline import see, sensor_of
+from labrig.scene.pipeline import lamp_of, see, sensor_of
 from labrig.simulated_disk import SimulatedDisk
 
 TRIGGER_MODES: dict[str, TriggerMode] = {
@@ -69,6 +68,7 @@ class OpenRig:
     picture: Picture | None
     latency: LatencyRecord | None
     disk: Disk
+    simulation: dict[str, Any] | None
     _world: World | RealWorld
 
     @property
@@ -204,22 +204,34 @@ def open_rig(
     """
     if not isinstance(rig.camera, SimulatedCameraConfig):
         return _connect_real(rig, scene, latency)
-    picture = see(scene, rig, plan, progress=progress)
-    return connect(rig, scene, picture, latency)
+    seen = see(scene, rig, plan, progress=progress)
+    return connect(rig, scene, seen.picture, latency, simulation=seen.summary())
 
 
 def connect(
-    rig: Rig, scene: Scene, picture: Picture, latency: LatencyRecord | None = None
+    rig: Rig,
+    scene: Scene,
+    picture: Picture,
+    latency: LatencyRecord | None = None,
+    *,
+    simulation: dict[str, Any] | None = None,
 ) -> OpenRig:
-    """Open the devices of a simulated rig that sees a picture."""
+    """Open the devices of a simulated rig that sees a picture.
+
+    ``simulation`` says how the picture was made; without it lamp, leak and sensor are the rig's.
+    """
     if not (
         isinstance(rig.camera, SimulatedCameraConfig)
         and isinstance(rig.projector, SimulatedProjectorConfig)
     ):
         msg = f"rig {rig.name!r} mixes simulated and real devices; they do not see one another."
         raise RunError(msg)
-    world = _world(rig, rig.projector, picture)
-    camera = SimulatedCamera(sensor_of(rig.camera), world, seed=rig.camera.seed)
+    world, sensor = _world(rig, rig.projector, picture), sensor_of(rig.camera)
+    if simulation is not None:
+        parts = picture.parts
+        world.lamp, world.projector_black = parts.lamp, parts.black_level
+        sensor = parts.sensor or sensor
+    camera = SimulatedCamera(sensor, world, seed=rig.camera.seed)
     projector = SimulatedProjector(
         projector_capabilities(rig, latency),
         world,
@@ -242,6 +254,7 @@ def connect(
         picture=picture,
         latency=latency,
         disk=SimulatedDisk(world.faults),
+        simulation=simulation,
         _world=world,
     )
 
@@ -270,6 +283,7 @@ def _connect_real(rig: Rig, scene: Scene, latency: LatencyRecord | None) -> Open
         picture=None,
         latency=latency,
         disk=Disk(),
+        simulation=None,
         _world=world,
     )
 
@@ -312,7 +326,7 @@ def _world(rig: Rig, projector: SimulatedProjectorConfig, picture: Picture) -> W
         light=picture.light,
         projector_black=rig.projector.black_level,
         clock=VirtualClock() if simulation.clock == "virtual" else MonotonicClock(),
-        lamp=Lamp(**simulation.lamp.model_dump()),
+        lamp=lamp_of(rig),
         fade_s=projector.fade_s,
         faults=FaultScript(Fault(**fault.model_dump()) for fault in simulation.faults),
     )

@@ -26,6 +26,7 @@ class Parts:
     ----------
     scene : medium, tank, and the beam as it is inside
     single, multiple : which light there is at all
+    isotropic : whether scattered light forgets its direction
     transfer : levels of projector pixels, 0 .. 1, to their light
     black_level : light of a black pixel, share of a white one
     blur_px, defocus_px_per_mm : standard deviation of a projector pixel at the face, and its
@@ -45,6 +46,7 @@ class Parts:
     sensor: Sensor | None
     single: bool = False
     multiple: bool = False
+    isotropic: bool = True
     transfer: Step | None = None
     black_level: float = 0.0
     blur_px: float = 0.0

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from labrig.scene.answer import Answer
+from labrig.scene.effects.scattering import scattering_evenly
 from labrig.scene.parts import Parts
 from labrig.scene.stripes import FIRST, LAST, rms_beyond
 
@@ -34,6 +36,10 @@ def answer_of(
     analysis.errors.AnalysisError
         If the series of bounces has no end.
     """
+    if parts.isotropic and parts.scene.medium.g != 0.0:
+        even = scattering_evenly(parts.scene.medium)
+        scene = parts.scene.model_copy(update={"medium": even})
+        parts = replace(parts, scene=scene, isotropic=False)
     mm_per_px = parts.rig.projection.mm_per_px
     wanted: dict[float, tuple[int, ...]] = {
         period * mm_per_px: FIRST for period in sorted(set(periods_px))

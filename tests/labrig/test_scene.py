@@ -57,7 +57,7 @@ def plan_of(*periods_px: int) -> labrig.Plan:
 
 
 def seen(scene: labrig.Scene | None = None, rig: labrig.Rig | None = None) -> Picture:
-    return see(scene or scene_of(), rig or rig_of(), plan_of(PERIOD_PX))
+    return see(scene or scene_of(), rig or rig_of(), plan_of(PERIOD_PX)).picture
 
 
 @pytest.fixture(scope="module")
@@ -193,12 +193,12 @@ def test_a_projector_that_does_not_light_the_whole_beam_is_refused(picture):
 
 
 def test_a_plan_may_hold_stripes_of_several_periods(picture):
-    both = see(scene_of(), rig_of(), plan_of(PERIOD_PX, 24))
+    both = see(scene_of(), rig_of(), plan_of(PERIOD_PX, 24)).picture
     # the answer to each period does not know of the other
     np.testing.assert_array_equal(both.light(stripes(1), 0.0), picture.light(stripes(1), 0.0))
     wide = np.zeros((720, 1280), np.uint8)
     wide[:, np.arange(1280) % 24 < 12] = 255
-    alone = see(scene_of(), rig_of(), plan_of(24)).light(wide, 0.0)
+    alone = see(scene_of(), rig_of(), plan_of(24)).picture.light(wide, 0.0)
     np.testing.assert_array_equal(both.light(wide, 0.0), alone)
     assert both.answer.harmonics(PERIOD_MM) == (1, 3)
     assert both.answer.harmonics(2 * PERIOD_MM)[:2] == (1, 3)

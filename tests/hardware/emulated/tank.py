@@ -28,7 +28,7 @@ def tank_scene(argument: str) -> Scene:
     """Return what a camera sees of the tank, with the noise of its sensor."""
     told = json.loads(argument)
     rig, scene = load(Path(told["rig"]), Rig), load(Path(told["scene"]), TankScene)
-    picture = pipeline.see(scene, rig, load(Path(told["plan"]), Plan))
+    picture = pipeline.see(scene, rig, load(Path(told["plan"]), Plan)).picture
     screen, cap = FrameBuffer(Path(told["screen"])), Path(told["cap"])
     x, width, height = told["place"]
     rng = np.random.default_rng(7)
