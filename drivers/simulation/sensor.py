@@ -142,15 +142,16 @@ def srgb(share: Array) -> Array:
 def bloom(electrons: Array, full_well_e: float, share: float) -> Array:
     """Let charge above full well spill, half of it up and half down its column.
 
-    What spills over again from there spills on; charge is lost at the ends of a column only, and
-    by the share that does not spill.
+    It fills one pixel after the other; at the ends of a column it is lost, as is what of the
+    excess does not spill.
     """
-    spilt = electrons.copy()
-    for _ in range(electrons.shape[0]):
-        excess = np.maximum(spilt - full_well_e, 0.0)
-        if excess.max() <= 1e-6 * full_well_e:
-            break
-        spilt -= excess
-        spilt[1:] += 0.5 * share * excess[:-1]
-        spilt[:-1] += 0.5 * share * excess[1:]
-    return spilt
+    excess = np.maximum(electrons - full_well_e, 0.0)
+    held = electrons - excess
+    for rows in (range(held.shape[0]), range(held.shape[0] - 1, -1, -1)):
+        spilling = np.zeros(held.shape[1])
+        for row in rows:
+            spilling += 0.5 * share * excess[row]
+            taken = np.minimum(spilling, full_well_e - held[row])
+            held[row] += taken
+            spilling -= taken
+    return held

@@ -10,7 +10,6 @@ import typer
 from rich.table import Table
 
 import labrig
-from labrig.accuracy import cost_of_accuracy
 from labrig.cli.say import AsJson, bars, out_console, say, say_json
 from labrig.costs import Costs, Run, write_csv
 
@@ -31,6 +30,8 @@ def solver(
     as_json: AsJson = False,
 ) -> None:
     """Measure error and CPU seconds of every method and resolution on a scene."""
+    from labrig.accuracy import cost_of_accuracy  # noqa: PLC0415 - loads the solver
+
     wanted = labrig.load_scene(scene)
     out.mkdir(parents=True, exist_ok=True)
     with bars() as follow:

@@ -110,7 +110,7 @@ class ObliqueConfig(Model):
 class DistortionConfig(Model):
     """Radial distortion: r (1 + k1 r^2), r counted in half diagonals of the sensor."""
 
-    k1: float = Field(ge=-0.25, le=0.5)
+    k1: float = Field(ge=-0.14, le=0.5, description="below -4/27 corners would fold over")
 
 
 class LensBlurConfig(Model):
@@ -157,33 +157,33 @@ def _named(name: str) -> Word | None:
 class Effects(Model):
     """The effects of a scene, in any order; one that is not named does not happen."""
 
-    gamma: Literal["never"] | GammaConfig | None = Field(None, alias="projector-gamma")
+    gamma: GammaConfig | None = Field(None, alias="projector-gamma")
     leak: Word | LeakConfig | None = Field(None, alias="black-leak")
     blur: Word | BlurConfig | None = Field(None, alias="projector-blur")
-    defocus: Literal["never"] | DefocusConfig | None = None
-    lamp_shape: Literal["never"] | LampShapeConfig | None = Field(None, alias="lamp-shape")
+    defocus: DefocusConfig | None = None
+    lamp_shape: LampShapeConfig | None = Field(None, alias="lamp-shape")
     lamp_drift: Word | LampDriftConfig | None = Field(None, alias="lamp-drift")
     colour_wheel: Word | ColourWheelConfig | None = Field(None, alias="colour-wheel")
-    refraction: Literal["never"] | RefractionConfig | None = None
+    refraction: RefractionConfig | None = None
     fresnel: Word | FresnelConfig | None = None
-    divergence: Literal["never"] | DivergenceConfig | None = None
+    divergence: DivergenceConfig | None = None
     single: Word | None = Field(None, alias="single-scattering")
     multiple: Word | None = Field(None, alias="multiple-scattering")
     anisotropy: Word | None = None
     internal_reflection: Word | InternalReflectionConfig | None = Field(
         None, alias="internal-reflection"
     )
-    walls: Literal["never"] | WallsConfig | None = None
+    walls: WallsConfig | None = None
     ambient: Word | AmbientConfig | None = None
-    oblique: Literal["never"] | ObliqueConfig | None = Field(None, alias="oblique-view")
-    distortion: Literal["never"] | DistortionConfig | None = None
-    lens_blur: Literal["never"] | LensBlurConfig | None = Field(None, alias="lens-blur")
-    vignetting: Literal["never"] | VignettingConfig | None = None
+    oblique: ObliqueConfig | None = Field(None, alias="oblique-view")
+    distortion: DistortionConfig | None = None
+    lens_blur: LensBlurConfig | None = Field(None, alias="lens-blur")
+    vignetting: VignettingConfig | None = None
     rolling_shutter: Word | RollingShutterConfig | None = Field(None, alias="rolling-shutter")
     hot_pixels: Word | HotPixelsConfig | None = Field(None, alias="hot-pixels")
     shot_noise: Word | None = Field(None, alias="shot-noise")
     read_noise: Word | None = Field(None, alias="read-noise")
-    blooming: Literal["never"] | BloomingConfig | None = None
+    blooming: BloomingConfig | None = None
     response: Word | ResponseConfig | None = None
     saturation: Word | None = None
     quantisation: Word | None = None

@@ -58,9 +58,9 @@ ENTRIES = (
     ),
     Entry("walls", "walls", "walls", "Walls", models.WallsConfig),
     Entry("ambient", "ambient", "lens", "Ambient", models.AmbientConfig),
+    Entry("lens_blur", "lens-blur", "lens", "LensBlur", models.LensBlurConfig),
     Entry("oblique", "oblique-view", "view", "Oblique", models.ObliqueConfig),
     Entry("distortion", "distortion", "view", "Distortion", models.DistortionConfig),
-    Entry("lens_blur", "lens-blur", "lens", "LensBlur", models.LensBlurConfig),
     Entry("vignetting", "vignetting", "lens", "Vignetting", models.VignettingConfig),
     Entry(
         "rolling_shutter",

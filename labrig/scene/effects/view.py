@@ -13,7 +13,7 @@ from labrig.scene.effects.base import Bound, Effect, Situation
 from labrig.scene.effects.lens import radius
 from labrig.scene.parts import Array, Parts
 
-NEWTON = 8  # steps to the inverse of the distortion; five reach 1e-12 at k1 = 0.5
+NEWTON = 20  # steps to the inverse of the distortion; at k1 = -0.14 all are needed
 
 
 class Oblique(Effect[ObliqueConfig]):
