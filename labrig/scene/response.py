@@ -13,14 +13,14 @@ import os
 import tempfile
 import zipfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 import numpy as np
 
 from analysis.errors import AnalysisError
 from analysis.phase_function import power_removed
-from analysis.transport.montecarlo import SampledField, simulate
+from analysis.transport.montecarlo import SampledField, Walls, simulate
 from labrig.models.scene import Scene
 from labrig.scene.answer import Answer
 from labrig.scene.stripes import FIRST
@@ -70,6 +70,7 @@ def bounces_of(scene: Scene) -> int:
 def answer_by_montecarlo(
     scene: Scene,
     harmonics: Mapping[float, tuple[int, ...]],
+    walls: Walls | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Answer:
     """Return a tank's answer to stripes of some periods (mm), each with its first harmonics.
@@ -82,7 +83,9 @@ def answer_by_montecarlo(
         for some in (FIRST, tuple(h for h in wanted if h not in FIRST)):
             if not some:
                 continue
-            found = tank_response(scene, period_mm=period_mm, harmonics=some, progress=progress)
+            found = tank_response(
+                scene, period_mm=period_mm, harmonics=some, walls=walls, progress=progress
+            )
             white = white or found
             from_cache = from_cache and found.from_cache
             for harmonic, wave in zip(some, found.field.modulated, strict=True):
@@ -106,6 +109,7 @@ def tank_response(
     *,
     period_mm: float,
     harmonics: tuple[int, ...] = FIRST,
+    walls: Walls | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> TankResponse:
     """Return the response of a scene's tank to stripes of a period along y.
@@ -115,7 +119,7 @@ def tank_response(
     """
     medium = scene.medium.record()
     n_bounces = bounces_of(scene)
-    question = {
+    question: dict[str, object] = {
         "version": VERSION,
         "medium": scene.medium.model_dump(),
         "tank": scene.tank.model_dump(),
@@ -124,6 +128,8 @@ def tank_response(
         "period_mm": period_mm,
         "harmonics": harmonics,
     }
+    if walls is not None:
+        question["walls"] = asdict(walls)
     key = hashlib.sha256(json.dumps(question, sort_keys=True).encode()).hexdigest()[:24]
     kept = cache_folder() / f"response-{key}.npz"
     if kept.is_file():
@@ -143,6 +149,7 @@ def tank_response(
         seed=scene.transport.seed,
         stripe_wavenumber_per_mm=2.0 * math.pi / period_mm,
         harmonics=harmonics,
+        walls=walls,
         n_threads=os.cpu_count() or 1,
         progress=progress,
     )

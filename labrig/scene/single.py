@@ -10,12 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
+from labrig.scene.fresnel import internal_reflectance
 from labrig.scene.parts import Parts
 
 Array = NDArray[np.float64]
 
 REACH = 6.0  # standard deviations beyond which a blurred edge is flat, to 1e-9
 SUBPIXELS = 8  # samples of a camera row, across the stripes
+FOLDS = 4  # mirrored tanks on each side, at most
+FAINT = 1e-5  # share of the light that is not followed further
 FINE = 32  # samples of a projector pixel
 BLURS = 33  # amounts of a growing blur that are computed; those between are interpolated
 
@@ -30,7 +33,41 @@ class Places:
 
 
 def single_scattering(parts: Parts, levels: Array, places: Places) -> Array:
-    """Return I_1 under light of each projector pixel, for a peak of one: (n_y, n_x)."""
+    """Return I_1 under light of each projector pixel, for a peak of one: (n_y, n_x).
+
+    Walls that are mirrors show the beam again, in tanks unfolded around this one.
+    """
+    total = _once(parts, levels, places)
+    for share, mirrored in _mirrored(parts, places):
+        total = total + share * _once(parts, levels, mirrored)
+    return total
+
+
+def _mirrored(parts: Parts, places: Places) -> list[tuple[float, Places]]:
+    """Return the places behind the walls from which mirrors bring light, and their share of it."""
+    wall, tank = parts.wall_reflectance, parts.scene.tank
+    if wall == 0.0:
+        return []
+    angle = math.radians(parts.scene.beam.angle_deg)
+    face = 0.0
+    if parts.face_index != 1.0:
+        face = float(internal_reflectance(parts.face_index, np.array([math.cos(angle)]))[0])
+    found = []
+    for m in range(FOLDS):
+        x = m * tank.depth_mm + places.x_mm if m % 2 == 0 else (m + 1) * tank.depth_mm - places.x_mm
+        for j in range(-FOLDS, FOLDS + 1) if angle else (0,):
+            y = j * tank.width_mm + places.y_mm
+            if j % 2:
+                y = (j + 1) * tank.width_mm - places.y_mm
+            share = wall ** ((m + 1) // 2 + abs(j)) * face ** (m // 2)
+            if (m or j) and share > FAINT:
+                place = Places(x_mm=np.asarray(x), y_mm=np.asarray(y), pixel_mm=places.pixel_mm)
+                found.append((share, place))
+    return found
+
+
+def _once(parts: Parts, levels: Array, places: Places) -> Array:
+    """Return the beam's light at places, as if no wall were there."""
     offsets = (np.arange(SUBPIXELS) + 0.5) / SUBPIXELS - 0.5
     fine_y = (places.y_mm[:, None] + offsets * places.pixel_mm).ravel()
     beam, sigma_t = parts.scene.beam, parts.scene.medium.sigma_t_per_mm
@@ -84,9 +121,10 @@ def _projected(parts: Parts, levels: Array, entry_mm: Array, x_mm: Array) -> Arr
     u = (entry_mm - projection.origin_mm) / projection.mm_per_px
     if parts.defocus_px_per_mm == 0.0:
         return blurred(levels, parts.blur_px)(u)
-    blurs = parts.blur_px + parts.defocus_px_per_mm * np.linspace(0.0, x_mm[-1], BLURS)
+    deepest = float(x_mm.max())
+    blurs = parts.blur_px + parts.defocus_px_per_mm * np.linspace(0.0, deepest, BLURS)
     profiles = [blurred(levels, float(blur)) for blur in blurs]
-    place = x_mm / x_mm[-1] * (BLURS - 1)
+    place = x_mm / deepest * (BLURS - 1)
     first = np.minimum(place.astype(int), BLURS - 2)
     found = np.empty((u.shape[0], x_mm.size))
     for n, (k, share) in enumerate(zip(first, place - first, strict=True)):

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from labrig.errors import PlanError
 from labrig.scene.answer import Answer
 from labrig.scene.effects.scattering import scattering_evenly
 from labrig.scene.parts import Parts
@@ -52,13 +53,29 @@ def answer_of(
 def _solved(
     parts: Parts, harmonics: Mapping[float, tuple[int, ...]], progress: Progress | None
 ) -> Answer:
+    folded = parts.face_index != 1.0 or parts.wall_reflectance != 0.0
     if parts.scene.transport.method == "ordinates":
+        if folded or parts.defocus_px_per_mm:
+            msg = (
+                "walls that give light back, and a blur that grows with depth, are followed by the "
+                "Monte Carlo only; set transport: {method: montecarlo}, or leave the effect out."
+            )
+            raise PlanError(msg)
         from labrig.scene.by_ordinates import answer_by_ordinates  # noqa: PLC0415 - kernels
 
         return answer_by_ordinates(parts.scene, harmonics, progress)
-    from labrig.scene.response import answer_by_montecarlo  # noqa: PLC0415 - kernels
+    from analysis.transport.montecarlo import Walls  # noqa: PLC0415 - kernels
+    from labrig.scene.response import answer_by_montecarlo  # noqa: PLC0415
 
-    return answer_by_montecarlo(parts.scene, harmonics, progress)
+    walls, mm_per_px = None, parts.rig.projection.mm_per_px
+    if folded or parts.defocus_px_per_mm:
+        walls = Walls(
+            face_index=parts.face_index,
+            reflectance=parts.wall_reflectance,
+            blur_mm=parts.blur_px * mm_per_px,
+            growth=parts.defocus_px_per_mm * mm_per_px,
+        )
+    return answer_by_montecarlo(parts.scene, harmonics, walls, progress)
 
 
 def _higher(parts: Parts, answer: Answer, period_mm: float, tolerance: float) -> tuple[int, ...]:

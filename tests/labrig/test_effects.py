@@ -13,10 +13,11 @@ from drivers.simulation.sensor import Noise, Sensor, bloom
 from drivers.simulation.world import World
 from labrig.config import parse
 from labrig.models import effects as models
-from labrig.scene.effects.face import Fresnel, internal_reflectance, reflectances
+from labrig.scene.effects.face import Fresnel
 from labrig.scene.effects.lens import falling
 from labrig.scene.effects.projector import lost_by
 from labrig.scene.effects.view import seen_from, undistorted
+from labrig.scene.fresnel import internal_reflectance, reflectances
 from labrig.scene.parts import Parts
 from labrig.scene.picture import Picture
 from labrig.scene.pipeline import see
@@ -230,6 +231,20 @@ def test_a_spreading_beam_keeps_its_light_and_thins_it_out():
     np.testing.assert_allclose(light[75], 1000.0 / (1.0 + x / far), rtol=1e-7)
     lit_mm = (light > 0.5 * light[75]).sum(axis=0) * 0.1
     np.testing.assert_allclose(lit_mm, 7.0 * (1.0 + x / far), atol=0.2)  # a pixel at each edge
+
+
+def test_a_mirror_behind_shows_the_beam_again():
+    picture, plain = seen({"walls": {"reflectance": 0.6}}), seen({})
+    x = (np.arange(COLS) + 0.5) * 0.1
+    found, alone = picture.light(WHITE, 0.0)[75], plain.light(WHITE, 0.0)[75]
+    # to the far wall and back: 40 mm - x; and no further, the face being open
+    np.testing.assert_allclose(found - alone, 600.0 * np.exp(-0.3 * (40.0 - x)), rtol=1e-4)
+    slanted = {"from_mm": 4, "to_mm": 6, "angle_deg": -30.0}
+    aside = seen({"walls": {"reflectance": 0.6}}, beam=slanted, medium=CLEAR).light(WHITE, 0.0)
+    # its middle reaches the wall at 5 / tan(30) = 8.66 mm, and is as high again 17.3 mm deep
+    rows = np.flatnonzero(aside[:, 173] > 500.0)
+    assert rows.mean() * 0.1 == pytest.approx(5.0, abs=0.1)
+    np.testing.assert_allclose(aside[rows[3:-3], 173], 600.0, rtol=1e-6)
 
 
 def test_ambient_light_is_everywhere_and_needs_no_projector():
