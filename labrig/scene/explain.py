@@ -54,15 +54,23 @@ def lit_images(plan: Plan, rig: Rig) -> dict[str, Image]:
 
 
 def exposed(
-    picture: Picture, parts: Parts, images: Mapping[str, Image], about: Situation
+    picture: Picture,
+    parts: Parts,
+    images: Mapping[str, Image],
+    about: Situation,
+    *,
+    noisy: bool = True,
 ) -> dict[str, Array]:
     """Return what the sensor reads of each image, in electrons/s, less its black level.
 
-    At the shortest and the longest exposure, at the begin and at the end of the session.
+    At the shortest and the longest exposure, at the begin and at the end of the session. Pictures
+    that are to be compared must not be ``noisy``: a little more light is another draw.
     """
     if parts.sensor is None:
         return {name: picture.light(image, parts.black_level) for name, image in images.items()}
     sensor, found = parts.sensor, {}
+    if not noisy:
+        sensor = replace(sensor, shot_noise=False, read_noise_e=0.0)
     noise = Noise(sensor, 1)
     ends = {0.0, about.duration_s} if not parts.lamp.steady else {0.0}
     for name, image in images.items():

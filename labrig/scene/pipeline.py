@@ -81,14 +81,23 @@ def assemble(scene: Scene, rig: Rig, decisions: Sequence[Decision]) -> Parts:
 
 
 def solve(
-    parts: Parts, periods_px: tuple[int, ...], progress: Progress | None = None
+    parts: Parts,
+    periods_px: tuple[int, ...],
+    progress: Progress | None = None,
+    *,
+    anew: bool = False,
 ) -> Answer | None:
-    """Return the multiple scattering of a world; None, and nothing loaded, if it has none."""
+    """Return the multiple scattering of a world; None, and nothing loaded, if it has none.
+
+    ``anew`` computes it although it may be kept from before.
+    """
     if not parts.multiple:
         return None
     from labrig.scene.transport import answer_of  # noqa: PLC0415 - only if there is any
 
-    return answer_of(parts, periods_px, tolerance=parts.scene.tolerance, progress=progress)
+    return answer_of(
+        parts, periods_px, tolerance=parts.scene.tolerance, progress=progress, anew=anew
+    )
 
 
 def counting(sensor: Sensor) -> Sensor:

@@ -72,6 +72,8 @@ def answer_by_montecarlo(
     harmonics: Mapping[float, tuple[int, ...]],
     walls: Walls | None = None,
     progress: Callable[[int, int], None] | None = None,
+    *,
+    anew: bool = False,
 ) -> Answer:
     """Return a tank's answer to stripes of some periods (mm), each with its first harmonics.
 
@@ -84,7 +86,12 @@ def answer_by_montecarlo(
             if not some:
                 continue
             found = tank_response(
-                scene, period_mm=period_mm, harmonics=some, walls=walls, progress=progress
+                scene,
+                period_mm=period_mm,
+                harmonics=some,
+                walls=walls,
+                progress=progress,
+                anew=anew,
             )
             white = white or found
             from_cache = from_cache and found.from_cache
@@ -111,6 +118,7 @@ def tank_response(
     harmonics: tuple[int, ...] = FIRST,
     walls: Walls | None = None,
     progress: Callable[[int, int], None] | None = None,
+    anew: bool = False,
 ) -> TankResponse:
     """Return the response of a scene's tank to stripes of a period along y.
 
@@ -132,7 +140,7 @@ def tank_response(
         question["walls"] = asdict(walls)
     key = hashlib.sha256(json.dumps(question, sort_keys=True).encode()).hexdigest()[:24]
     kept = cache_folder() / f"response-{key}.npz"
-    if kept.is_file():
+    if kept.is_file() and not anew:
         found = _read(kept)
         if found is not None:
             return TankResponse(field=found, n_bounces=n_bounces, from_cache=True)

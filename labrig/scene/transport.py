@@ -26,6 +26,7 @@ def answer_of(
     *,
     tolerance: float,
     progress: Progress | None = None,
+    anew: bool = False,
 ) -> Answer:
     """Return the tank's multiple scattering under white light and stripes of some periods, px.
 
@@ -45,13 +46,17 @@ def answer_of(
     wanted: dict[float, tuple[int, ...]] = {
         period * mm_per_px: FIRST for period in sorted(set(periods_px))
     }
-    first = _solved(parts, wanted, progress)
+    first = _solved(parts, wanted, progress, anew=anew)
     more = {p: FIRST + _higher(parts, first, p, tolerance) for p in wanted}
     return first if more == wanted else _solved(parts, more, progress)
 
 
 def _solved(
-    parts: Parts, harmonics: Mapping[float, tuple[int, ...]], progress: Progress | None
+    parts: Parts,
+    harmonics: Mapping[float, tuple[int, ...]],
+    progress: Progress | None,
+    *,
+    anew: bool = False,
 ) -> Answer:
     folded = parts.face_index != 1.0 or parts.wall_reflectance != 0.0
     if parts.scene.transport.method == "ordinates":
@@ -75,7 +80,7 @@ def _solved(
             blur_mm=parts.blur_px * mm_per_px,
             growth=parts.defocus_px_per_mm * mm_per_px,
         )
-    return answer_by_montecarlo(parts.scene, harmonics, walls, progress)
+    return answer_by_montecarlo(parts.scene, harmonics, walls, progress, anew=anew)
 
 
 def _higher(parts: Parts, answer: Answer, period_mm: float, tolerance: float) -> tuple[int, ...]:
