@@ -92,7 +92,9 @@ class Noise:
         """Return whole counts, read-only."""
         s = self._sensor
         read = self.counts(electrons, exposure_s, name)
-        pixels = np.clip(np.rint(read), 0, s.white_level_dn).astype(np.uint16)
+        if not (s.quantised and s.saturates):
+            read = np.clip(np.rint(read), 0, s.white_level_dn)
+        pixels = read.astype(np.uint16)
         pixels.setflags(write=False)
         return pixels
 
@@ -119,18 +121,23 @@ class Noise:
     ) -> None:
         s = self._sensor
         band = slice(rows[0], rows[-1] + 1)
-        collected = electrons[band]
-        if s.shot_noise:
-            collected = rng.poisson(collected).astype(np.float64)
+        collected = rng.poisson(electrons[band]) if s.shot_noise else electrons[band]
+        counts = read[band]
         if s.read_noise_e:
-            collected = collected + s.read_noise_e * rng.standard_normal(collected.shape)
-        counts = s.black_level_dn + s.gain_dn_per_e * collected
+            rng.standard_normal(out=counts)
+            counts *= s.read_noise_e
+            counts += collected
+        else:
+            counts[:] = collected
+        counts *= s.gain_dn_per_e
+        counts += s.black_level_dn
         if s.response == "srgb":
             top = 2.0**s.bits - 1.0
-            counts = top * srgb(np.clip(counts / top, 0.0, 1.0))
+            counts[:] = top * srgb(np.clip(counts / top, 0.0, 1.0))
         if s.saturates:
-            counts = np.clip(counts, 0.0, s.white_level_dn)
-        read[band] = np.rint(counts) if s.quantised else counts
+            np.clip(counts, 0.0, s.white_level_dn, out=counts)
+        if s.quantised:
+            np.rint(counts, out=counts)
 
 
 def srgb(share: Array) -> Array:

@@ -137,10 +137,12 @@ class Picture:
         total = mean.real * self._white
         for harmonic, coefficient in zip(known, others, strict=True):
             if abs(coefficient) > 1e-12:
-                wave = np.exp(harmonic * phase) * self._waves[period_mm, harmonic]
-                total = total + 2.0 * (coefficient * wave).real
+                turned = 2.0 * coefficient * np.exp(harmonic * phase)
+                wave = self._waves[period_mm, harmonic]
+                total += turned.real * wave.real
+                total -= turned.imag * wave.imag
         # A cut series with the noise of a Monte Carlo may undershoot; light cannot.
-        return np.asarray(np.maximum(total, 0.0))
+        return np.asarray(np.maximum(total, 0.0, out=total))
 
     def _period_of(self, levels: Array) -> int:
         """Return the shortest period, px, of those foreseen with which the levels repeat.
