@@ -17,14 +17,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from labrig import board as _board
-from labrig import calibration_run as _calibration_run
 from labrig import calibration_store as _calibration_store
 from labrig import capturing as _capturing
 from labrig import config as _config
 from labrig import importing as _importing
-from labrig import pipeline as _pipeline
 from labrig import results as _results
 from labrig import rig as _rig
 from labrig import session as _session
@@ -39,8 +37,22 @@ from labrig.pipeline import Until
 from labrig.results import Result
 from labrig.rig import OpenRig
 from labrig.session import Problem, Session
-from labrig.solving import Cost, Solved, explain, write_solution
-from labrig.solving import solve_scene as solve
+
+if TYPE_CHECKING:
+    from labrig.pipeline import Until
+    from labrig.solving import Cost, Solved, explain, write_solution
+    from labrig.solving import solve_scene as solve
+else:
+
+    def __getattr__(name: str) -> Any:
+        """Load the solver when it is asked for: single scattering alone has no need of it."""
+        if name not in _SOLVING:
+            msg = f"module 'labrig' has no attribute {name!r}"
+            raise AttributeError(msg)
+        from labrig import solving  # noqa: PLC0415
+
+        return getattr(solving, _SOLVING[name])
+
 
 __all__ = [
     "Analysis",
@@ -78,6 +90,8 @@ __all__ = [
 
 StrPath = str | PathLike[str]
 Counted = Callable[[int, int], None]
+_SOLVING = {"solve": "solve_scene"}
+_SOLVING |= {name: name for name in ("Cost", "Solved", "explain", "write_solution")}
 
 
 def load_plan(path: StrPath) -> Plan:
@@ -229,9 +243,11 @@ def analyse(
     labrig.errors.LabrigError, analysis.errors.AnalysisError, calibration.errors.CalibrationError
         Where no trustworthy answer exists.
     """
+    from labrig import pipeline  # noqa: PLC0415 - loads the solver
+
     if config is not None and not isinstance(config, Analysis):
         config = load_analysis(config)
-    return _pipeline.analyse(
+    return pipeline.analyse(
         Path(session),
         config,
         until=until,
@@ -261,7 +277,9 @@ def calibrate(
     labrig.errors.LabrigError, calibration.errors.CalibrationError
         If the session does not hold what the kind needs, or nothing trustworthy comes of it.
     """
-    record = _calibration_run.calibrate(
+    from labrig import calibration_run  # noqa: PLC0415 - loads OpenCV
+
+    record = calibration_run.calibrate(
         kind,
         Path(session),
         out=None if out is None else Path(out),
@@ -294,8 +312,10 @@ def draw_board(out: StrPath, **sizes: float) -> tuple[Path, ...]:
     labrig.errors.LabrigError, calibration.errors.CalibrationError
         If the sizes make no board, or the place cannot be written.
     """
+    from labrig import board  # noqa: PLC0415 - loads OpenCV
+
     content = {"schema": "labrig-board/1", **sizes}
-    return _board.draw_board(Path(out), _config.parse(content, BoardFile, source="board"))
+    return board.draw_board(Path(out), _config.parse(content, BoardFile, source="board"))
 
 
 def report(

@@ -52,6 +52,7 @@ def linearise(
         by_picture[shot.role if shot.shift is None else f"{shot.role}-{shot.shift}"].append(shot)
     darks = _dark_levels(session, by_picture.pop("dark", []), camera)
     shift_names(session)
+    _refuse_mixed_patterns(session, by_picture)
 
     def offset(exposure_s: float) -> Offset:
         if known.dark is not None:
@@ -72,6 +73,18 @@ def linearise(
         for name, shots in by_picture.items()
         if shots[0].role in LIGHT
     }
+
+
+def _refuse_mixed_patterns(session: Session, by_picture: Mapping[str, list[Shot]]) -> None:
+    """Pictures of one name are merged; those of other stripes must not be among them."""
+    for name, shots in by_picture.items():
+        patterns = {shot.pattern for shot in shots if shot.pattern is not None}
+        if len(patterns) > 1:
+            msg = (
+                f"session {session.path.name}: {name} was taken with {len(patterns)} patterns; "
+                "only stripes of one period can be analysed together."
+            )
+            raise AnalysisRefusedError(msg)
 
 
 def _refuse_mixed_segments(session: Session) -> None:

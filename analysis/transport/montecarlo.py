@@ -63,6 +63,23 @@ class SampledField:
         return _relative_noise(self.fluence, self.std_error)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Walls:
+    """What makes a tank other than black, and its stripes less sharp with depth.
+
+    Attributes
+    ----------
+    face_index : refractive index of the medium at the lit face, whose other side is air
+    reflectance : of the other walls, which are mirrors
+    blur_mm, growth : standard deviation of the stripes' blur at the face, and per mm of depth
+    """
+
+    face_index: float = 1.0
+    reflectance: float = 0.0
+    blur_mm: float = 0.0
+    growth: float = 0.0
+
+
 def simulate(
     medium: Medium,
     tank: Tank,
@@ -77,6 +94,7 @@ def simulate(
     angular_bounces: tuple[int, ...] = (),
     n_theta: int = 64,
     until_std_error: float | None = None,
+    walls: Walls | None = None,
     n_threads: int = 2,
     progress: Callable[[int, int], None] | None = None,
 ) -> SampledField:
@@ -89,6 +107,7 @@ def simulate(
     angular_bounces : bounces whose radiance is wanted in ``n_theta`` angle bins
     until_std_error : stop once the relative noise of every order is below this; ``n_paths`` is
         then the most that are followed. The answer is the one that this number of paths gives
+    walls : what gives light back, and a blur that grows; None for black walls and even stripes
     progress : called with (batches done, batches in all), from the start in each round
 
     Raises
@@ -105,6 +124,9 @@ def simulate(
     each bounce, cell and bin.
     """
     _refuse(medium, n_bounces, n_paths, cell_mm, angular_bounces, n_theta)
+    if walls is not None and angular_bounces:
+        msg = "the light field of a tank that is not black is not sampled; ask for none."
+        raise AnalysisError(msg)
     if until_std_error is not None and not until_std_error > 0.0:
         msg = f"until_std_error = {until_std_error}: the noise asked for must be positive."
         raise AnalysisError(msg)
@@ -122,6 +144,7 @@ def simulate(
             harmonics=harmonics,
             angular_bounces=angular_bounces,
             n_theta=n_theta,
+            walls=walls,
         )
         for number in range(N_BATCHES)
     ]
@@ -195,6 +218,7 @@ class _Batch:
         harmonics: tuple[int, ...],
         angular_bounces: tuple[int, ...],
         n_theta: int,
+        walls: Walls | None,
     ) -> None:
         n_orders, n_y, n_x = shape
         power = power_removed(medium.g, medium.phase)
@@ -211,6 +235,7 @@ class _Batch:
         self._harmonics = np.asarray(harmonics, dtype=np.int64)
         self._slots = np.full(n_orders, -1, dtype=np.int64)
         self._slots[np.asarray(angular_bounces, dtype=np.int64) - 2] = range(len(angular_bounces))
+        self._walls = walls
         self._n_done = 0
         self.scores = np.zeros(shape)
         self.lobes = np.zeros((len(angular_bounces), n_theta, n_y, n_x))
@@ -218,6 +243,9 @@ class _Batch:
 
     def run_to(self, n_paths: int) -> None:
         """Follow the paths up to number ``n_paths``, as if they had been asked for at once."""
+        if self._walls is not None:
+            self._fold_to(n_paths, self._walls)
+            return
         follow(
             self._medium,
             self._tank,
@@ -233,6 +261,28 @@ class _Batch:
             self._slots,
             self.scores,
             self.lobes,
+            self.modulated,
+        )
+        self._n_done = n_paths
+
+    def _fold_to(self, n_paths: int, walls: Walls) -> None:
+        from analysis.transport.montecarlo_folded import follow_folded  # noqa: PLC0415 - rare
+
+        follow_folded(
+            self._medium,
+            self._tank,
+            np.array([walls.face_index, walls.reflectance], dtype=np.float64),
+            np.array([walls.blur_mm, walls.growth], dtype=np.float64),
+            self._angle,
+            self._entry,
+            self._stretched,
+            (self._n_done, n_paths),
+            self._rng,
+            self._shift,
+            _lattice(N_LATTICE),
+            self._wavenumber,
+            self._harmonics,
+            self.scores,
             self.modulated,
         )
         self._n_done = n_paths

@@ -15,7 +15,9 @@ from labrig.accuracy import cost_of_accuracy
 from labrig.accuracy_capture import CaptureCosts, Priced, cost_of_capture, parse_wish
 from labrig.accuracy_capture import write_csv as write_capture_csv
 from labrig.cli.say import AsJson, bars, out_console, say, say_json
+from labrig.config import config_folder
 from labrig.costs import Costs, Run, write_csv
+from labrig.realism import cost_of_realism
 
 app = typer.Typer(help="What accuracy is reached, and what it costs.", rich_markup_mode=None)
 WITHIN = 1.3  # times its noise that a witness may differ: the noise itself is known to 18 %
@@ -148,3 +150,37 @@ def _say_truth(costs: Costs) -> None:
             f"order {one.order}: the Monte Carlo differs by {one.difference:.2g} rms, its noise is "
             f"{one.noise:.2g}: {verdict}"
         )
+
+
+@app.command(name="scene")
+def scene_(
+    scene: Annotated[Path, typer.Argument(help="Scene file.")],
+    plan: Annotated[Path, typer.Option(help="Plan file, whose patterns are shown.")],
+    rig: Annotated[
+        Path | None, typer.Option(help="Rig file; else the simulated rig that comes along.")
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", help="Folder to write to.")] = Path("accuracy"),
+    as_json: AsJson = False,
+) -> None:
+    """Measure a picture's error and CPU seconds as a scene's effects are added one by one."""
+    wanted, shown = labrig.load_scene(scene), labrig.load_plan(plan)
+    apparatus = labrig.load_rig(rig or config_folder() / "rigs" / "simulated.yaml")
+    out.mkdir(parents=True, exist_ok=True)
+    with bars() as follow:
+        realism = cost_of_realism(wanted, apparatus, shown, follow)
+    stem = out / "scene"
+    from labrig.figures import save  # noqa: PLC0415 - matplotlib takes a second to load
+    from labrig.figures_scene import realism_figure  # noqa: PLC0415
+
+    save(realism_figure(realism), stem)
+    if as_json:
+        say_json({**asdict(realism), "figure": str(stem.with_suffix(".png"))})
+        return
+    table = Table(title=f"{realism.scene}, tolerance {realism.tolerance:g}")
+    for heading in ("added", "CPU s", "error"):
+        table.add_column(heading, justify="left" if heading == "added" else "right")
+    for step in realism.steps:
+        table.add_row(step.name, f"{step.seconds:.3g}", f"{step.error:.2g}")
+    out_console.print(table)
+    say(f"left out: at most {realism.left_out:.2g}")
+    say(f"figure  {stem.with_suffix('.png')}")
