@@ -1,0 +1,158 @@
+"""The second bounce of a slab as its camera sees it, integrated over height in closed form."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from itertools import pairwise
+
+import numpy as np
+from numba import njit
+
+from analysis.medium import Medium, Slab
+from analysis.phase_function import Array, phase_function
+from analysis.transport.fresnel import reflectance
+
+COARSEST = 12  # angles in each quarter of the rule, at g = 0
+FINEST = 28  # and where g is nearly one
+TWO_PEAKS = 0.5  # g from which on the beam's peak is given a rule of its own
+
+
+def second_order(
+    x_mm: Array, medium: Medium, slab: Slab, *, wavenumber_per_mm: float, n_angles: int = 0
+) -> Array:
+    """Return A_2(x; q) exp(sigma_t x) for an albedo of one, (n_x,).
+
+    ``A_2 = (1/h) int dz exp(-sigma_t (h - z)) sigma_s int p(mu_z) L_2 dOmega``, over
+    ``sigma_s p(0) (1 - exp(-sigma_t h)) / (sigma_t h)``, where ``L_2 = sigma_s p(mu_x)
+    exp(-sigma_t x) [(1 - E_1) + R (E_1 - E_2)] / kappa``, ``E = exp(-kappa s)``, ``kappa =
+    sigma_t (1 - mu_x) + i q mu_y``; s_1 is the way back to the first wall or, going down, to the
+    surface, s_2 to the next wall after one reflection.
+
+    Parameters
+    ----------
+    n_angles : of each quarter of both polar rules; zero for as many as g calls for
+
+    Notes
+    -----
+    The integrand has two peaks, around the beam and around the camera. Where they are sharp, two
+    smooth shares of it, which add to one, are integrated in polar coordinates around either axis.
+    """
+    n = n_angles or round(COARSEST + (FINEST - COARSEST) * medium.g**2)
+    cosines, weight = _directions(medium.g, slab.surface_index, n)
+    g = medium.g
+    p_beam = phase_function(np.arccos(np.clip(cosines[:, 0], -1.0, 1.0)), g, "hg-paper")
+    p_camera = phase_function(np.arccos(np.clip(cosines[:, 2], -1.0, 1.0)), g, "hg-paper")
+    across = float(phase_function(np.array(0.5 * math.pi), g, "hg-paper"))
+    mirror = np.array([reflectance(abs(c), slab.surface_index) for c in cosines[:, 2]])
+    sigma_t = medium.sigma_t_per_mm
+    seen = -math.expm1(-sigma_t * slab.height_mm) / sigma_t
+    found = add_up(
+        np.ascontiguousarray(x_mm, dtype=np.float64),
+        cosines,
+        weight * p_beam * p_camera,
+        mirror,
+        (sigma_t, wavenumber_per_mm),
+        (slab.height_mm, slab.depth_mm),
+    )
+    return np.asarray(found * sigma_t / (across * seen))
+
+
+def _directions(g: float, index: float, n: int) -> tuple[Array, Array]:
+    """Return directions (n, 3) with mu_y > 0, and weights that hold for both halves of y."""
+    critical = math.acos(math.sqrt(1.0 - 1.0 / index**2))
+    theta, phi, weight = _polar_rule(n, [0.5 * math.pi, math.pi - critical])
+    around_camera = np.stack(_turned(theta, phi)[::-1], axis=1)
+    if g < TWO_PEAKS:
+        return np.ascontiguousarray(around_camera), 2.0 * weight
+    theta, phi, beam_weight = _polar_rule(n, [0.5 * math.pi])
+    around_beam = np.stack(_turned(theta, phi), axis=1)
+    cosines = np.concatenate([around_beam, around_camera])
+    # 1 + g^2 - 2 g mu for either axis: small in its peak, where the other's share vanishes.
+    beam = (1.0 + g * g - 2.0 * g * cosines[:, 0]) ** 3
+    camera = (1.0 + g * g - 2.0 * g * cosines[:, 2]) ** 3
+    share = np.concatenate([camera[: theta.size], beam[theta.size :]]) / (beam + camera)
+    return np.ascontiguousarray(cosines), 2.0 * np.concatenate([beam_weight, weight]) * share
+
+
+def _turned(theta: Array, phi: Array) -> tuple[Array, Array, Array]:
+    """Return the cosines along the axis, to the side mu_y, and across."""
+    return np.cos(theta), np.sin(theta) * np.sin(phi), np.sin(theta) * np.cos(phi)
+
+
+def _polar_rule(n: int, breaks: list[float]) -> tuple[Array, Array, Array]:
+    """Return polar angle, azimuth 0 .. pi and weight, Gaussian between breaks and in quarters.
+
+    Polar angles crowd towards the axis.
+    """
+    node, weight = np.polynomial.legendre.leggauss(n)
+    t, w = 0.5 * (node + 1.0), 0.5 * weight
+    theta, by_theta = [breaks[0] * t**2], [2.0 * breaks[0] * t * w]
+    for low, high in pairwise([*breaks, math.pi]):
+        theta.append(low + (high - low) * t)
+        by_theta.append((high - low) * w)
+    quarter = 0.5 * math.pi
+    phi = np.concatenate([quarter * t, quarter * (1.0 + t)])
+    polar = np.concatenate(theta)
+    grid = np.meshgrid(polar, phi, indexing="ij")
+    by_polar = np.concatenate(by_theta) * np.sin(polar)
+    return grid[0].ravel(), grid[1].ravel(), np.outer(by_polar, np.tile(quarter * w, 2)).ravel()
+
+
+@njit(cache=True, nogil=True)
+def faded(rate: complex, length: float) -> complex:
+    """Return the integral of exp(-rate s) over 0 .. length."""
+    span = rate * length
+    if abs(span) < 1e-4:
+        return length * (1.0 - span / 2.0 + span * span / 6.0)
+    return (1.0 - cmath.exp(-span)) / rate
+
+
+@njit(cache=True, nogil=True)
+def add_up(
+    x_mm: Array,
+    cosines: Array,
+    weight: Array,
+    mirror: Array,
+    medium: tuple[float, float],
+    walls: tuple[float, float],
+) -> Array:
+    """Sum the second bounce's light over directions; heights are counted down from the surface."""
+    sigma_t, wavenumber = medium
+    height, depth = walls
+    out = np.zeros(x_mm.size)
+    left = math.exp(-sigma_t * height)
+    whole = (1.0 - left) / sigma_t
+    for n in range(weight.size):
+        mu_x, mu_y, mu_z = cosines[n]
+        kappa = complex(sigma_t * (1.0 - mu_x), wavenumber * mu_y)
+        steep = abs(mu_z)
+        rate = kappa / steep
+        crossing = cmath.exp(-rate * height)
+        for i in range(x_mm.size):
+            to_face = x_mm[i] / mu_x if mu_x > 0.0 else (depth - x_mm[i]) / -mu_x
+            climbed = steep * to_face
+            at_face = cmath.exp(-kappa * to_face)
+            if mu_z > 0.0:
+                # Rays from the floor end above u = h - climbed, rays from the face below it.
+                from_floor = min(climbed, height)
+                first = at_face * (1.0 - math.exp(-sigma_t * (height - from_floor))) / sigma_t
+                if from_floor == height:
+                    first = 0.0j
+                first += left * faded(rate - sigma_t, from_floor)
+                light = (whole - first) / kappa
+            else:
+                upper = min(climbed, height)
+                lower = min(max(climbed - height, 0.0), height)
+                once = faded(rate + sigma_t, upper)
+                once += at_face * (math.exp(-sigma_t * upper) - left) / sigma_t
+                light = whole - once
+                if mirror[n] > 0.0 and lower > 0.0:
+                    twice = crossing * faded(rate + sigma_t, lower)
+                    twice += at_face * (math.exp(-sigma_t * lower) - left) / sigma_t
+                    light += mirror[n] * (once - twice)
+                elif mirror[n] > 0.0:
+                    light += mirror[n] * (once - at_face * whole)
+                light /= kappa
+            out[i] += weight[n] * light.real
+    return out
