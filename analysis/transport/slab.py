@@ -13,12 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.errors import AnalysisError
 from analysis.medium import Medium, Slab
 from analysis.phase_function import Array, phase_function
 from analysis.transport.blas import BLAS
-from analysis.transport.fresnel import reflectance
-from analysis.transport.plane import carry, node_steps
+from analysis.transport.fresnel import mean_reflectance
+from analysis.transport.plane import node_steps
 from analysis.transport.slab_grid import Height, Scattering, SlabGrid, camera_weights
+from analysis.transport.slab_kernels import climb_and_fall
 from analysis.transport.slab_second import second_order
 
 ComplexArray = NDArray[np.complex128]
@@ -32,10 +34,9 @@ class SlabField:
     ----------
     camera : (K, n_x), what the camera sees of bounces 1 .. K, A_1 = 1
     fluence : (K, n_x), mean over the height
-    ratio : A_K / A_(K-1) where both are brightest; later bounces go on with it
     """
 
-    grid: SlabGrid
+    x_mm: Array
     sigma_t_per_mm: float
     camera: Array
     fluence: Array
@@ -43,14 +44,21 @@ class SlabField:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Rays:
-    """What every ray keeps and gathers, for the half of the azimuths that goes up."""
+    """What every ray that goes up keeps and gathers; those going down are its mirror."""
 
     height: Height
     forward: NDArray[np.bool_]
     left: ComplexArray
     share: ComplexArray
-    climb: Array
-    mirror: Array
+    entering: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Light:
+    """A source or a radiance, (n_phi, n_theta, n_z, n_x), even and odd in mu_y; odd may be empty."""
+
+    even: Array
+    odd: Array
 
 
 def solve_slab(
@@ -60,6 +68,7 @@ def solve_slab(
     *,
     n_bounces: int,
     wavenumber_per_mm: float = 0.0,
+    least: float = 0.0,
 ) -> SlabField:
     """Return bounces 1 .. n_bounces of light that enters as exp(i q y) along +x.
 
@@ -67,107 +76,140 @@ def solve_slab(
     with Eq. 2 on the sphere, nothing entering at x = 0, at the far wall and at the floor, and
     ``L(-mu_z) = R(mu_z) L(mu_z)`` at the surface. The medium's ``phase``, which is about
     flatland, and its sigma_s are not looked at.
+
+    Parameters
+    ----------
+    least : bounces end early once the last one holds less than this share of all, everywhere
+
+    Raises
+    ------
+    AnalysisError
+        If nothing extinguishes the light, |g| is one, or the grid ends elsewhere than the slab.
     """
+    _refuse(medium, slab, grid, n_bounces)
     sigma_t = medium.sigma_t_per_mm
     scattering = Scattering.of(medium.g, grid)
     rays = _rays(medium, slab, grid, wavenumber_per_mm)
     seen = camera_weights(slab.height_mm, sigma_t, grid.n_z)
     across = float(phase_function(np.array(0.5 * np.pi), medium.g, "hg-paper"))
-    upward = np.linalg.inv(sigma_t * np.eye(grid.n_z) + rays.height.slope)
+    upward = np.linalg.inv(np.eye(grid.n_z) + rays.height.slope / sigma_t)
     second = second_order(grid.x_mm, medium, slab, wavenumber_per_mm=wavenumber_per_mm)
     camera, fluence = [np.ones(grid.x_mm.size), second], [np.ones(grid.x_mm.size)]
-    source = np.zeros((grid.n_phi, grid.theta_rad.size, grid.n_z, grid.x_mm.size), np.complex128)
-    source[:, :, 0] = sigma_t * phase_function(grid.theta_rad, medium.g, "hg-paper")[:, None]
-    to_camera = np.zeros((grid.n_z, grid.x_mm.size))
-    to_camera[0] = sigma_t * across
-    watched = upward @ to_camera
+    source = _first_source(medium, grid, striped=wavenumber_per_mm != 0.0)
+    watched = np.zeros((grid.n_z, grid.x_mm.size))
+    watched[0] = across
+    watched = upward @ watched
     for k in range(2, n_bounces + 1):
         light = _transport(source, rays)
-        fluence.append(_fluence(light.real, grid))
-        if k == n_bounces:
-            break
-        source, into_camera = _scatter(light, scattering)
-        to_camera = sigma_t * (into_camera + scattering.share_ahead * watched)
-        source *= sigma_t
-        if k > 2:
-            camera.append(seen @ to_camera / (sigma_t * across))
+        fluence.append(_fluence(light.even, grid))
+        source, to_camera = _scatter(light, scattering, sigma_t)
+        to_camera += scattering.share_ahead * watched
         watched = upward @ to_camera
-    if n_bounces > 2:
-        into_camera = _scatter(light, scattering)[1] + scattering.share_ahead * watched
-        camera.append(seen @ into_camera / across)
+        if k > 2:
+            camera.append(seen @ to_camera / across)
+        if np.all(np.abs(camera[-1]) <= least * np.abs(np.sum(camera, axis=0))):
+            break
     return SlabField(
-        grid=grid,
+        x_mm=grid.x_mm,
         sigma_t_per_mm=sigma_t,
         camera=np.array(camera[:n_bounces]),
-        fluence=np.array(fluence[:n_bounces]),
+        fluence=np.array(fluence),
     )
+
+
+def _first_source(medium: Medium, grid: SlabGrid, *, striped: bool) -> _Light:
+    """Return what the beam scatters, even over height and depth once exp(-sigma_t x) is out."""
+    shape = (grid.n_phi, grid.theta_rad.size, grid.n_z, grid.x_mm.size)
+    even = np.zeros(shape)
+    scattered = phase_function(grid.theta_rad, medium.g, "hg-paper")
+    even[:, :, 0] = medium.sigma_t_per_mm * scattered[:, None]
+    return _Light(even=even, odd=np.zeros(shape if striped else 0))
 
 
 def _rays(medium: Medium, slab: Slab, grid: SlabGrid, wavenumber: float) -> _Rays:
     """Return the steps of every ray, extinction being less sigma_t mu_x by the factor taken out."""
     half = grid.n_phi // 2
     height = Height.of(slab.height_mm, grid.n_z)
+    if wavenumber == 0.0:
+        height = height.of_real()
     mu_x, mu_y, mu_z = grid.cosines
     climb = mu_z[:half]
     rate = medium.sigma_t_per_mm * (1.0 - mu_x) + 1j * wavenumber * mu_y[:half]
     rate = rate[:, :, None] + climb[:, :, None] * height.eigenvalue
-    along = np.broadcast_to(mu_x[:, :, None], rate.shape).ravel()
-    left, share = node_steps(grid.x_mm, along, rate.ravel())
-    mirror = [[reflectance(c, slab.surface_index) for c in row] for row in climb]
+    along = np.broadcast_to(mu_x[:, :, None], rate.shape)
+    left, share = node_steps(grid.x_mm, along.ravel(), rate.ravel())
+    shape = (*rate.shape, grid.x_mm.size)
     return _Rays(
         height=height,
-        forward=np.asarray(along > 0.0),
-        left=left,
-        share=share,
-        climb=climb,
-        mirror=np.array(mirror),
+        forward=np.asarray(mu_x[0] > 0.0),
+        left=left.reshape(shape),
+        share=share.reshape(3, *shape),
+        entering=climb * mean_reflectance(*grid.up_edges, slab.surface_index),
     )
 
 
-def _transport(source: ComplexArray, rays: _Rays) -> ComplexArray:
-    """Return the radiance that a source makes, both (n_phi, n_theta, n_z, n_x)."""
-    height = rays.height
-    half, shape = source.shape[0] // 2, (source.shape[0] // 2, *source.shape[1:])
+def _transport(source: _Light, rays: _Rays) -> _Light:
+    """Return the radiance that a source makes."""
+    found = _Light(even=np.empty_like(source.even), odd=np.empty_like(source.odd))
+    odd, out_odd = source.odd, found.odd
+    if odd.size == 0:
+        odd, out_odd = np.empty((0, 0, 0, 0)), np.empty((0, 0, 0, 0))
+    climb_and_fall(
+        source.even,
+        odd,
+        rays.forward,
+        rays.left,
+        rays.share,
+        rays.height.to_modes,
+        rays.height.from_modes,
+        rays.height.inflow,
+        rays.entering,
+        found.even,
+        out_odd,
+    )
+    return found
 
-    def climbing(from_below: ComplexArray) -> ComplexArray:
-        modes = (height.to_modes @ from_below).reshape(-1, source.shape[-1])
-        carried = carry(modes, rays.forward, rays.left, rays.share)
-        return np.asarray(height.from_modes @ carried.reshape(shape))
 
-    with BLAS.limit(limits=1):
-        up = climbing(source[:half])
-        # P_l is one at the surface; azimuth pi - phi is the mirror of phi.
-        entering = (rays.climb * rays.mirror)[:, :, None] * up.sum(axis=2)
-        below = source[half:][::-1] * height.mirrored[:, None]
-        below = below + height.inflow[:, None] * entering[:, :, None, :]
-        down = climbing(below)[::-1] * height.mirrored[:, None]
-    return np.concatenate([up, down])
-
-
-def _scatter(light: ComplexArray, scattering: Scattering) -> tuple[ComplexArray, Array]:
-    """Return the scattered light per direction, and that towards the camera but for f.
-
-    The real part of the light is even in mu_y, the imaginary part is odd.
-    """
-    n_phi, n_theta = light.shape[:2]
+def _scatter(light: _Light, scattering: Scattering, sigma_t: float) -> tuple[_Light, Array]:
+    """Return what is scattered per direction per mm, and what the camera sees of it but for f."""
+    shape = light.even.shape
     n_m = scattering.cosine.shape[0]
 
-    def legendre(moments: Array) -> Array:
-        apart = moments.reshape(n_m, n_theta, -1)
-        return np.asarray(scattering.legendre @ apart).reshape(n_m, -1)
+    def scattered(part: Array, moments: Array, back: Array) -> Array:
+        apart = moments.reshape(n_m, shape[1], -1)
+        mixed = (scattering.legendre @ apart).reshape(n_m, -1)
+        found = (back.T @ mixed).reshape(shape)
+        found += scattering.share_ahead * part
+        found *= sigma_t
+        return np.asarray(found)
 
+    odd = light.odd
     with BLAS.limit(limits=1):
-        even = scattering.to_cosine @ light.real.reshape(n_phi, -1)
-        to_camera = scattering.camera @ even.reshape(n_m * n_theta, -1)
-        scattered = scattering.share_ahead * light
-        scattered.real += (scattering.cosine.T @ legendre(even)).reshape(light.shape)
-        if light.imag.any():
-            odd = scattering.to_sine @ light.imag.reshape(n_phi, -1)
-            scattered.imag += (scattering.sine.T @ legendre(odd)).reshape(light.shape)
-    return scattered, to_camera.reshape(light.shape[2:])
+        moments = scattering.to_cosine @ light.even.reshape(shape[0], -1)
+        to_camera = scattering.camera @ moments.reshape(n_m * shape[1], -1)
+        even = scattered(light.even, moments, scattering.cosine)
+        if odd.size > 0:
+            moments = scattering.to_sine @ odd.reshape(shape[0], -1)
+            odd = scattered(light.odd, moments, scattering.sine)
+    return _Light(even=even, odd=odd), to_camera.reshape(shape[2:])
 
 
-def _fluence(light: Array, grid: SlabGrid) -> Array:
+def _fluence(even: Array, grid: SlabGrid) -> Array:
     """Return the integral over all directions of the mean over the height, (n_x,)."""
     per_phi = 2.0 * np.pi / grid.n_phi
-    return np.asarray(per_phi * np.einsum("t,ptx->x", grid.weight, light[:, :, 0]))
+    return np.asarray(per_phi * (grid.weight @ even[:, :, 0].sum(axis=0)))
+
+
+def _refuse(medium: Medium, slab: Slab, grid: SlabGrid, n_bounces: int) -> None:
+    msg = ""
+    if medium.sigma_t_per_mm == 0.0 or abs(medium.g) == 1.0:
+        msg = (
+            f"sigma_t = {medium.sigma_t_per_mm}, g = {medium.g}: a slab needs some extinction and "
+            "|g| < 1."
+        )
+    elif n_bounces < 2:
+        msg = f"n_bounces = {n_bounces}: at least two are needed."
+    elif not np.isclose(grid.x_mm[-1], slab.depth_mm):
+        msg = f"the grid ends at {grid.x_mm[-1]} mm, the slab at {slab.depth_mm} mm."
+    if msg:
+        raise AnalysisError(msg)

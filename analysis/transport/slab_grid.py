@@ -64,6 +64,16 @@ class SlabGrid:
             np.cos(self.phi_rad)[:, None] * aside,
         )
 
+    @property
+    def up_edges(self) -> tuple[Array, Array]:
+        """Edges of the cells of azimuth and polar angle of the directions that go up.
+
+        (n_phi / 2 + 1,) and (n_theta + 1,).
+        """
+        between = 0.5 * (self.theta_rad[1:] + self.theta_rad[:-1])
+        phi = np.linspace(0.0, 0.5 * np.pi, self.n_phi // 2 + 1)
+        return phi, np.concatenate([[0.0], between, [np.pi]])
+
 
 def polar_angles(n_forward: int, n_backward: int, crowding: float) -> tuple[Array, Array]:
     """Return polar angles and weights of d mu; those ahead crowd towards the beam.
@@ -178,7 +188,6 @@ class Height:
     eigenvalue : (n_z,), 1/mm
     from_modes, to_modes : (n_z, n_z)
     inflow : (n_z,), what light entering at the floor adds to dc/dz, 1/mm
-    mirrored : (n_z,), +1 and -1: the coefficients of a light turned upside down
     """
 
     slope: Array
@@ -186,7 +195,6 @@ class Height:
     from_modes: NDArray[np.complex128]
     to_modes: NDArray[np.complex128]
     inflow: Array
-    mirrored: Array
 
     @classmethod
     def of(cls, height_mm: float, n_z: int) -> Height:
@@ -203,7 +211,18 @@ class Height:
             from_modes=vectors.astype(np.complex128),
             to_modes=np.linalg.inv(vectors).astype(np.complex128),
             inflow=(2.0 * degree + 1.0) * sign / height_mm,
-            mirrored=sign,
+        )
+
+    def of_real(self) -> Height:
+        """Return the operators for real light: one mode of each conjugate pair, counted twice."""
+        one = self.eigenvalue.imag >= 0.0
+        twice = np.where(self.eigenvalue.imag[one] > 0.0, 2.0, 1.0)
+        return Height(
+            slope=self.slope,
+            eigenvalue=self.eigenvalue[one],
+            from_modes=np.ascontiguousarray(self.from_modes[:, one] * twice),
+            to_modes=np.ascontiguousarray(self.to_modes[one]),
+            inflow=self.inflow,
         )
 
 

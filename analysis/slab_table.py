@@ -1,0 +1,165 @@
+"""A slab's orders over a range of extinction and asymmetry, interpolated (Chebyshev)."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import tempfile
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from analysis.errors import AnalysisError
+from analysis.medium import Medium, Slab
+from analysis.phase_function import Array
+from analysis.transport.slab import solve_slab
+from analysis.transport.slab_grid import SlabGrid
+from analysis.transport.slab_resolution import directions
+
+Range = tuple[float, float]
+
+STRIPED_ORDERS = 14
+WHITE_ORDERS = 120
+TAIL = 2e-4  # share of the last order, at an albedo of one, from which on a ratio continues it
+VERSION = 1  # of the kept files; raise it when the solver changes its answer
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlabTable:
+    """Orders at Chebyshev nodes of sigma_t and g, for given wave numbers.
+
+    Attributes
+    ----------
+    sigma_t_per_mm, g : ranges of the table
+    wavenumbers_per_mm : (n_q,); zero is white light
+    x_mm : (n_x,)
+    coefficients : for each wave number (n_sigma_t, n_g, K, n_x), of A_k exp(sigma_t x) at an
+        albedo of one; K differs
+    error : largest relative error of sums of orders found between the nodes, at an albedo of
+        0.95; NaN where it was not looked for
+    """
+
+    slab: Slab
+    sigma_t_per_mm: Range
+    g: Range
+    wavenumbers_per_mm: Array
+    x_mm: Array
+    coefficients: tuple[Array, ...]
+    error: float = math.nan
+
+    @classmethod
+    def build(
+        cls,
+        slab: Slab,
+        wavenumbers_per_mm: Array,
+        x_mm: Array,
+        *,
+        sigma_t_per_mm: Range,
+        g: Range,
+        n_nodes: tuple[int, int],
+        fineness: float,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> SlabTable:
+        """Solve at every node; ``fineness`` is that of `directions`.
+
+        Every node has the directions of the largest g, so that the orders are smooth in g.
+
+        Raises
+        ------
+        AnalysisError
+            If a range is none.
+        """
+        _refuse(sigma_t_per_mm, g, n_nodes)
+        found = []
+        at_sigma_t, at_g = (
+            _nodes(n, r) for n, r in zip(n_nodes, (sigma_t_per_mm, g), strict=True)
+        )
+        done = 0
+        for q in wavenumbers_per_mm:
+            hardest = max(g, key=abs)
+            grid = directions(
+                hardest, slab, x_mm, wavenumber_per_mm=q, fineness=fineness
+            )
+            n_bounces = orders_of(sigma_t_per_mm[1], g[1], slab, grid, q)
+            values = np.empty((*n_nodes, n_bounces, x_mm.size))
+            for i, sigma_t in enumerate(at_sigma_t):
+                for j, asymmetry in enumerate(at_g):
+                    values[i, j] = camera_orders(sigma_t, asymmetry, slab, grid, q, n_bounces)
+                    done += 1
+                    if progress is not None:
+                        progress(done, len(wavenumbers_per_mm) * n_nodes[0] * n_nodes[1])
+            found.append(_transformed(values))
+        return cls(
+            slab=slab,
+            sigma_t_per_mm=sigma_t_per_mm,
+            g=g,
+            wavenumbers_per_mm=np.asarray(wavenumbers_per_mm, dtype=np.float64),
+            x_mm=x_mm,
+            coefficients=tuple(found),
+        )
+
+    def orders(self, sigma_t_per_mm: float, g: float) -> list[Array]:
+        """Return A_k exp(sigma_t x) for an albedo of one, (K, n_x) for each wave number."""
+        u, v = self._place(sigma_t_per_mm, g)
+        by_t, by_g = self._polynomials(u, v)
+        return [np.einsum("i,j,ijkx->kx", by_t, by_g, c, optimize=True) for c in self.coefficients]
+
+    def _place(self, sigma_t: float, g: float) -> tuple[float, float]:
+        (low, high), (least, most) = self.sigma_t_per_mm, self.g
+        return 2.0 * (sigma_t - low) / (high - low) - 1.0, 2.0 * (g - least) / (most - least) - 1.0
+
+    def _polynomials(self, u: float, v: float) -> tuple[Array, Array]:
+        n_t, n_g = self.coefficients[0].shape[:2]
+        return (
+            np.polynomial.chebyshev.chebvander(np.array(u), n_t - 1),
+            np.polynomial.chebyshev.chebvander(np.array(v), n_g - 1),
+        )
+
+
+def camera_orders(
+    sigma_t: float, g: float, slab: Slab, grid: SlabGrid, wavenumber: float, n_bounces: int
+) -> Array:
+    """Return what the camera sees of bounces 1 .. n_bounces, (K, n_x), see `SlabField`."""
+    medium = Medium(sigma_t_per_mm=sigma_t, sigma_s_per_mm=sigma_t, g=g)
+    return solve_slab(
+        medium, slab, grid, n_bounces=n_bounces, wavenumber_per_mm=wavenumber
+    ).camera
+
+
+def orders_of(sigma_t: float, g: float, slab: Slab, grid: SlabGrid, wavenumber: float) -> int:
+    """Return how many orders are worth having at an albedo of one."""
+    medium = Medium(sigma_t_per_mm=sigma_t, sigma_s_per_mm=sigma_t, g=g)
+    most = STRIPED_ORDERS if wavenumber else WHITE_ORDERS
+    field = solve_slab(
+        medium, slab, grid, n_bounces=most, wavenumber_per_mm=wavenumber, least=TAIL
+    )
+    return int(field.camera.shape[0])
+
+
+def _nodes(n: int, span: Range) -> Array:
+    u = np.cos(np.pi * (np.arange(n) + 0.5) / n)
+    return np.asarray(0.5 * (span[0] + span[1]) + 0.5 * (span[1] - span[0]) * u)
+
+
+def _transformed(values: Array) -> Array:
+    """Return Chebyshev coefficients of values at the nodes along the first two axes."""
+    for axis in (0, 1):
+        n = values.shape[axis]
+        k = np.arange(n)
+        matrix = np.cos(np.pi * np.outer(k, k + 0.5) / n) * np.where(k, 2.0, 1.0)[:, None] / n
+        values = np.moveaxis(np.tensordot(matrix, values, axes=(1, axis)), 0, axis)
+    return np.ascontiguousarray(values)
+
+
+def _refuse(sigma_t: Range, g: Range, n_nodes: tuple[int, int]) -> None:
+    if not 0.0 < sigma_t[0] < sigma_t[1] < math.inf or not -1.0 < g[0] < g[1] < 1.0:
+        msg = f"sigma_t {list(sigma_t)}, g {list(g)} are no ranges: 0 < from < to, -1 < from < to < 1."
+        raise AnalysisError(msg)
+    if min(n_nodes) < 2:
+        msg = f"n_nodes = {list(n_nodes)}: a table has at least two nodes along either axis."
+        raise AnalysisError(msg)
