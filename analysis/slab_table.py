@@ -105,20 +105,19 @@ class SlabTable:
 
     def orders(self, sigma_t_per_mm: float, g: float) -> list[Array]:
         """Return A_k exp(sigma_t x) for an albedo of one, (K, n_x) for each wave number."""
-        u, v = self._place(sigma_t_per_mm, g)
-        by_t, by_g = self._polynomials(u, v)
-        return [np.einsum("i,j,ijkx->kx", by_t, by_g, c, optimize=True) for c in self.coefficients]
+        by_sigma_t = _polynomials(sigma_t_per_mm, self.sigma_t_per_mm, self.coefficients[0].shape[0])
+        by_g = _polynomials(g, self.g, self.coefficients[0].shape[1])
+        found = []
+        for c in self.coefficients:
+            of_g = (by_sigma_t @ c.reshape(c.shape[0], -1)).reshape(c.shape[1], -1)
+            found.append((by_g @ of_g).reshape(c.shape[2:]))
+        return found
 
-    def _place(self, sigma_t: float, g: float) -> tuple[float, float]:
-        (low, high), (least, most) = self.sigma_t_per_mm, self.g
-        return 2.0 * (sigma_t - low) / (high - low) - 1.0, 2.0 * (g - least) / (most - least) - 1.0
 
-    def _polynomials(self, u: float, v: float) -> tuple[Array, Array]:
-        n_t, n_g = self.coefficients[0].shape[:2]
-        return (
-            np.polynomial.chebyshev.chebvander(np.array(u), n_t - 1),
-            np.polynomial.chebyshev.chebvander(np.array(v), n_g - 1),
-        )
+def _polynomials(value: float, span: Range, n: int) -> Array:
+    """Return Chebyshev polynomials 0 .. n - 1 of a value within a range."""
+    u = (2.0 * value - span[0] - span[1]) / (span[1] - span[0])
+    return np.polynomial.chebyshev.chebvander(np.array([u]), n - 1)[0]
 
 
 def camera_orders(

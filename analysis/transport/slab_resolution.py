@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from analysis.medium import Slab
@@ -13,10 +15,10 @@ CROWDING = 1.25
 
 def depths(sigma_t_per_mm: float, slab: Slab, *, fineness: float) -> Array:
     """Return nodes in depth from face to far wall, (n_x,), finer where the face is near."""
-    finest = 0.02 * slab.height_mm
+    finest = min(0.008 * slab.height_mm, 0.02 / sigma_t_per_mm)
     coarsest = min(0.5 / sigma_t_per_mm, slab.height_mm)
     wanted = np.log1p(slab.depth_mm / finest) + slab.depth_mm / coarsest
-    n_x = max(16, round(2.0 * fineness * wanted))
+    n_x = max(24, round(1.8 * math.sqrt(fineness) * wanted))
     return graded_depths(slab.depth_mm, n_x, finest_mm=finest, coarsest_mm=coarsest)
 
 

@@ -13,8 +13,9 @@ from analysis.medium import Medium, Slab
 from analysis.phase_function import Array, phase_function
 from analysis.transport.fresnel import reflectance
 
-COARSEST = 12  # angles in each quarter of the rule, at g = 0
+COARSEST = 20  # polar angles in each part of the rules, at g = 0
 FINEST = 28  # and where g is nearly one
+STRIPED = 0.12  # more azimuths, per stripes' phase over the height
 TWO_PEAKS = 0.5  # g from which on the beam's peak is given a rule of its own
 
 
@@ -31,7 +32,9 @@ def second_order(
 
     Parameters
     ----------
-    n_angles : of each quarter of both polar rules; zero for as many as g calls for
+    n_angles : polar angles of each part of the rules; zero for as many as g calls for. Azimuths
+        are as many in each quarter, and more under stripes: along the stripes' crossing light
+        oscillates with azimuth as exp(i q z tan(phi))
 
     Notes
     -----
@@ -39,7 +42,8 @@ def second_order(
     smooth shares of it, which add to one, are integrated in polar coordinates around either axis.
     """
     n = n_angles or round(COARSEST + (FINEST - COARSEST) * medium.g**2)
-    cosines, weight = _directions(medium.g, slab.surface_index, n)
+    n_phi = round(n * (1.0 + min(STRIPED * wavenumber_per_mm * slab.height_mm, 2.0)))
+    cosines, weight = _directions(medium.g, slab.surface_index, n, n_phi)
     g = medium.g
     p_beam = phase_function(np.arccos(np.clip(cosines[:, 0], -1.0, 1.0)), g, "hg-paper")
     p_camera = phase_function(np.arccos(np.clip(cosines[:, 2], -1.0, 1.0)), g, "hg-paper")
@@ -58,14 +62,14 @@ def second_order(
     return np.asarray(found * sigma_t / (across * seen))
 
 
-def _directions(g: float, index: float, n: int) -> tuple[Array, Array]:
+def _directions(g: float, index: float, n: int, n_phi: int) -> tuple[Array, Array]:
     """Return directions (n, 3) with mu_y > 0, and weights that hold for both halves of y."""
     critical = math.acos(math.sqrt(1.0 - 1.0 / index**2))
-    theta, phi, weight = _polar_rule(n, [0.5 * math.pi, math.pi - critical])
+    theta, phi, weight = _polar_rule(n, n_phi, [0.5 * math.pi, math.pi - critical])
     around_camera = np.stack(_turned(theta, phi)[::-1], axis=1)
     if g < TWO_PEAKS:
         return np.ascontiguousarray(around_camera), 2.0 * weight
-    theta, phi, beam_weight = _polar_rule(n, [0.5 * math.pi])
+    theta, phi, beam_weight = _polar_rule(n, n_phi, [0.5 * math.pi])
     around_beam = np.stack(_turned(theta, phi), axis=1)
     cosines = np.concatenate([around_beam, around_camera])
     # 1 + g^2 - 2 g mu for either axis: small in its peak, where the other's share vanishes.
@@ -80,7 +84,7 @@ def _turned(theta: Array, phi: Array) -> tuple[Array, Array, Array]:
     return np.cos(theta), np.sin(theta) * np.sin(phi), np.sin(theta) * np.cos(phi)
 
 
-def _polar_rule(n: int, breaks: list[float]) -> tuple[Array, Array, Array]:
+def _polar_rule(n: int, n_phi: int, breaks: list[float]) -> tuple[Array, Array, Array]:
     """Return polar angle, azimuth 0 .. pi and weight, Gaussian between breaks and in quarters.
 
     Polar angles crowd towards the axis.
@@ -91,6 +95,8 @@ def _polar_rule(n: int, breaks: list[float]) -> tuple[Array, Array, Array]:
     for low, high in pairwise([*breaks, math.pi]):
         theta.append(low + (high - low) * t)
         by_theta.append((high - low) * w)
+    node, weight = np.polynomial.legendre.leggauss(n_phi)
+    t, w = 0.5 * (node + 1.0), 0.5 * weight
     quarter = 0.5 * math.pi
     phi = np.concatenate([quarter * t, quarter * (1.0 + t)])
     polar = np.concatenate(theta)
