@@ -19,23 +19,28 @@ from scipy.optimize import least_squares
 from analysis.errors import AnalysisError
 from analysis.medium import Slab
 from analysis.phase_function import Array
-from analysis.slab_table import Range, SlabTable, camera_orders, orders_of
+from analysis.slab_table import Range, SlabTable, camera_orders
 from analysis.transport.slab_resolution import depths, directions
 
 Scales = Literal["one", "each"]
+Choice = tuple[Range, Range, float, tuple[int, int]]
 Orders = Callable[[float, float], list[Array]]
 
-G_RANGE = (-0.3, 0.95)
-SIGMA_T_RANGE = (0.9, 1.9)  # times what the decay of the stripes alone would say
-COARSE, FINE = 0.6, 1.2  # fineness of the first table, and of the solutions it is corrected by
-TABLE_NODES = (4, 6)
-CORRECTIONS = 5
+TABLES = (  # range of g, of sigma_t over the decay of the profile, fineness, nodes
+    ((-0.4, 0.6), (0.9, 1.35), 0.55, (3, 4)),
+    ((0.5, 0.82), (0.9, 1.5), 0.7, (4, 4)),
+    ((0.75, 0.96), (0.95, 2.1), 0.85, (4, 4)),
+)
+FINE, FINER = 1.2, 0.5  # of what corrects a table: at g = 0, and how much more where g is one
+COARSE_TAIL = 1e-3
+WALLS = 0.8  # fineness of what height and index change
+CORRECTIONS = 8
 SETTLED = 0.02  # of a standard deviation, or of this times a percent
 SUB_BINS = 4  # Gauss points in a bin of depth
 FEWEST = 6  # bins of depth
 MOST_SEEN = 7.0  # mean free paths beyond the last bin that are still solved for
 ALBEDO = (1e-3, 1.0)
-STARTS_G = (0.0, 0.5, 0.8)
+AT_END = 0.02  # of a range of g: then the next one is tried
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,7 +112,8 @@ class SlabFit:
         the fit does not see such a mistake, and its misfit does not show it; NaN if not asked for
     model : (n, n_x), for the profiles in the order of `SlabProfiles.stacked`
     chi2_per_dof, rms_relative : misfit, in units of the noise and of the light
-    at_limit : whether a parameter stopped at the end of its range: no minimum was found inside
+    at_limit : whether a parameter stopped at the end of its range, or corrections never settled: no
+        minimum was found inside
     solver_shift : (3,), by what the last correction by a finer solution still moved the answer
     n_solved : solutions of the transport that were called for; zero with a table
     """
@@ -219,33 +225,37 @@ def fit_slab(
         If the profiles are unfit, do not decay, or the table is about something else.
     """
     q, values, variance = profiles.stacked()
-    use = np.isfinite(values)
-    n_solved = 0
-    if table is None:
-        table = _first_table(profiles, q, values, variance, slab)
-        n_solved = q.size * TABLE_NODES[0] * TABLE_NODES[1]
-        corrections = CORRECTIONS
-    else:
+    std, use = np.sqrt(variance), np.isfinite(values)
+    n_solved, corrections = 0, 0 if table else CORRECTIONS
+    if table is not None:
         _refuse_other(table, slab, q, profiles)
-        corrections = 0
-    problem = _problem(profiles, q, values, np.sqrt(variance), use, table.x_mm, scales)
-    at, limit = _minimise(problem, table.orders, table, STARTS_G, None)
-    shift, orders = np.zeros(3), table.orders
+        problem = _problem(profiles, q, values, std, use, table.x_mm, scales)
+        at, limit = _minimise(problem, table.orders, table, None)
+    else:
+        for choice in TABLES:
+            table = _first_table(profiles, q, values, variance, slab, choice)
+            n_solved += q.size * math.prod(choice[3])
+            problem = _problem(profiles, q, values, std, use, table.x_mm, scales)
+            at, limit = _minimise(problem, table.orders, table, None)
+            if at[2] < table.g[1] - AT_END:
+                break
+    shift, orders, settled = np.zeros(3), table.orders, corrections == 0
     for _ in range(corrections):
         orders = _corrected(table, at)
         n_solved += q.size
         before = at
-        at, limit = _minimise(problem, orders, table, (at[2],), at)
+        at, limit = _minimise(problem, orders, table, at)
         shift = at - before
         std = np.sqrt(np.diag(_covariance(problem, orders, at)[0]))
         if np.all(np.abs(shift) < SETTLED * np.maximum(std, 0.01 * np.abs(at))):
+            settled = True
             break
     covariance, gain = _covariance(problem, orders, at)
     by_walls = np.full((2, 3), np.nan)
     if unknown_walls:
         by_walls = _by_walls(problem, table, at, gain)
         n_solved += 3 * q.size
-    return _told(problem, orders, at, limit, covariance, by_walls, shift, n_solved)
+    return _told(problem, orders, at, limit or not settled, covariance, by_walls, shift, n_solved)
 
 
 def _told(
@@ -288,9 +298,10 @@ def _to_sigma_s(at: Array) -> Array:
 
 
 def _first_table(
-    profiles: SlabProfiles, q: Array, values: Array, variance: Array, slab: Slab
+    profiles: SlabProfiles, q: Array, values: Array, variance: Array, slab: Slab, choice: Choice
 ) -> SlabTable:
     """Return a coarse table around the decay of the first profile, no deeper than is needed."""
+    g, share, fineness, n_nodes = choice
     sigma_t = _decay(profiles.depth_mm, values[0], variance[0])
     seen = float(profiles.depth_mm[np.isfinite(values).any(axis=0)].max() + profiles.bin_mm)
     deep = min(slab.depth_mm, seen + min(MOST_SEEN / sigma_t, 4.0 * slab.height_mm))
@@ -298,11 +309,12 @@ def _first_table(
     return SlabTable.build(
         solved,
         q,
-        depths(sigma_t, solved, fineness=COARSE),
-        sigma_t_per_mm=(SIGMA_T_RANGE[0] * sigma_t, SIGMA_T_RANGE[1] * sigma_t),
-        g=G_RANGE,
-        n_nodes=TABLE_NODES,
-        fineness=COARSE,
+        depths(sigma_t, solved, fineness=fineness),
+        sigma_t_per_mm=(share[0] * sigma_t, share[1] * sigma_t),
+        g=g,
+        n_nodes=n_nodes,
+        fineness=fineness,
+        tail=COARSE_TAIL,
     )
 
 
@@ -346,7 +358,7 @@ def _problem(
 
 
 def _minimise(
-    problem: _Problem, orders: Orders, table: SlabTable, starts: tuple[float, ...], at: Array | None
+    problem: _Problem, orders: Orders, table: SlabTable, at: Array | None
 ) -> tuple[Array, bool]:
     """Return (sigma_t, albedo, g) within the table's ranges, and whether it stopped at an end."""
     low, high = table.sigma_t_per_mm
@@ -356,30 +368,33 @@ def _minimise(
         _, model = problem.scaled(problem.profiles(orders(p[0], p[2]), p[0], p[1]))
         return np.asarray(((problem.values - model) / problem.std)[problem.use])
 
-    best = None
-    for g in starts:
-        start = np.array([low + 0.2 * (high - low), 0.7, g]) if at is None else at
-        start = np.clip(start, bounds[0] + 1e-6, bounds[1] - 1e-6)
-        if not bounds[0, 2] < g < bounds[1, 2] and at is None:
-            continue
-        found = least_squares(
-            residual, start, bounds=bounds, x_scale=[0.1 * low, 0.1, 0.1], xtol=1e-9, ftol=1e-10
+    starts = [at] if at is not None else [
+        np.array([low + 0.2 * (high - low), 0.7, table.g[0] + share * (table.g[1] - table.g[0])])
+        for share in (0.3, 0.8)
+    ]
+    tried = [
+        least_squares(
+            residual,
+            np.clip(start, bounds[0] + 1e-6, bounds[1] - 1e-6),
+            bounds=bounds,
+            x_scale=[0.1 * low, 0.1, 0.1],
+            xtol=1e-8,
+            ftol=1e-8,
         )
-        if best is None or found.cost < best.cost:
-            best = found
-    if best is None:
-        msg = f"the table's g {list(table.g)} holds none of the starts {list(starts)}; widen it."
-        raise AnalysisError(msg)
+        for start in starts
+    ]
+    best = min(tried, key=lambda found: float(found.cost))
     return np.asarray(best.x), bool(np.any(best.active_mask != 0))
 
 
 def _corrected(table: SlabTable, at: Array) -> Orders:
     """Return the table's orders, moved to what a fine solution says they are at one place."""
     sigma_t, g = float(at[0]), float(at[2])
-    fine_x = depths(sigma_t, table.slab, fineness=FINE)
+    fineness = FINE + FINER * g**8
+    fine_x = depths(sigma_t, table.slab, fineness=fineness)
     moves = []
     for q, here in zip(table.wavenumbers_per_mm, table.orders(sigma_t, g), strict=True):
-        grid = directions(g, table.slab, fine_x, wavenumber_per_mm=q, fineness=FINE)
+        grid = directions(g, table.slab, fine_x, wavenumber_per_mm=q, fineness=fineness)
         fine = camera_orders(sigma_t, g, table.slab, grid, q, here.shape[0])
         moves.append(CubicSpline(fine_x, fine, axis=1)(table.x_mm) - here)
 
@@ -425,7 +440,7 @@ def _by_walls(problem: _Problem, table: SlabTable, at: Array, gain: Array) -> Ar
     def model(slab: Slab) -> Array:
         orders = []
         for q, kept in zip(table.wavenumbers_per_mm, table.coefficients, strict=True):
-            grid = directions(g, slab, table.x_mm, wavenumber_per_mm=q, fineness=COARSE)
+            grid = directions(g, slab, table.x_mm, wavenumber_per_mm=q, fineness=WALLS)
             orders.append(camera_orders(sigma_t, g, slab, grid, q, kept.shape[2]))
         return problem.profiles(orders, sigma_t, albedo)
 

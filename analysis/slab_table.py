@@ -63,6 +63,7 @@ class SlabTable:
         g: Range,
         n_nodes: tuple[int, int],
         fineness: float,
+        tail: float = TAIL,
         progress: Callable[[int, int], None] | None = None,
     ) -> SlabTable:
         """Solve at every node; ``fineness`` is that of `directions`.
@@ -85,7 +86,7 @@ class SlabTable:
             grid = directions(
                 hardest, slab, x_mm, wavenumber_per_mm=q, fineness=fineness
             )
-            n_bounces = orders_of(sigma_t_per_mm[1], g[1], slab, grid, q)
+            n_bounces = orders_of(sigma_t_per_mm[1], g[1], slab, grid, q, tail=tail)
             values = np.empty((*n_nodes, n_bounces, x_mm.size))
             for i, sigma_t in enumerate(at_sigma_t):
                 for j, asymmetry in enumerate(at_g):
@@ -130,12 +131,14 @@ def camera_orders(
     ).camera
 
 
-def orders_of(sigma_t: float, g: float, slab: Slab, grid: SlabGrid, wavenumber: float) -> int:
-    """Return how many orders are worth having at an albedo of one."""
+def orders_of(
+    sigma_t: float, g: float, slab: Slab, grid: SlabGrid, wavenumber: float, *, tail: float
+) -> int:
+    """Return how many orders leave less than ``tail`` to the last, at an albedo of one."""
     medium = Medium(sigma_t_per_mm=sigma_t, sigma_s_per_mm=sigma_t, g=g)
     most = STRIPED_ORDERS if wavenumber else WHITE_ORDERS
     field = solve_slab(
-        medium, slab, grid, n_bounces=most, wavenumber_per_mm=wavenumber, least=TAIL
+        medium, slab, grid, n_bounces=most, wavenumber_per_mm=wavenumber, least=tail
     )
     return int(field.camera.shape[0])
 

@@ -87,15 +87,25 @@ def solve_slab(
         If nothing extinguishes the light, |g| is one, or the grid ends elsewhere than the slab.
     """
     _refuse(medium, slab, grid, n_bounces)
+    with BLAS.limit(limits=1):
+        return _march(medium, slab, grid, n_bounces, wavenumber_per_mm, least)
+
+
+def _march(
+    medium: Medium, slab: Slab, grid: SlabGrid, n_bounces: int, wavenumber: float, least: float
+) -> SlabField:
+    """Go from order to order: transport, then scattering and the camera's part of it."""
     sigma_t = medium.sigma_t_per_mm
     scattering = Scattering.of(medium.g, grid)
-    rays = _rays(medium, slab, grid, wavenumber_per_mm)
+    rays = _rays(medium, slab, grid, wavenumber)
     seen = camera_weights(slab.height_mm, sigma_t, grid.n_z)
     across = float(phase_function(np.array(0.5 * np.pi), medium.g, "hg-paper"))
     upward = np.linalg.inv(np.eye(grid.n_z) + rays.height.slope / sigma_t)
-    second = second_order(grid.x_mm, medium, slab, wavenumber_per_mm=wavenumber_per_mm)
+    second = second_order(
+        grid.x_mm, medium, slab, wavenumber_per_mm=wavenumber, n_angles=grid.n_second
+    )
     camera, fluence = [np.ones(grid.x_mm.size), second], [np.ones(grid.x_mm.size)]
-    source = _first_source(medium, grid, striped=wavenumber_per_mm != 0.0)
+    source = _first_source(medium, grid, striped=wavenumber != 0.0)
     watched = np.zeros((grid.n_z, grid.x_mm.size))
     watched[0] = across
     watched = upward @ watched
@@ -184,13 +194,12 @@ def _scatter(light: _Light, scattering: Scattering, sigma_t: float) -> tuple[_Li
         return np.asarray(found)
 
     odd = light.odd
-    with BLAS.limit(limits=1):
-        moments = scattering.to_cosine @ light.even.reshape(shape[0], -1)
-        to_camera = scattering.camera @ moments.reshape(n_m * shape[1], -1)
-        even = scattered(light.even, moments, scattering.cosine)
-        if odd.size > 0:
-            moments = scattering.to_sine @ odd.reshape(shape[0], -1)
-            odd = scattered(light.odd, moments, scattering.sine)
+    moments = scattering.to_cosine @ light.even.reshape(shape[0], -1)
+    to_camera = scattering.camera @ moments.reshape(n_m * shape[1], -1)
+    even = scattered(light.even, moments, scattering.cosine)
+    if odd.size > 0:
+        moments = scattering.to_sine @ odd.reshape(shape[0], -1)
+        odd = scattered(light.odd, moments, scattering.sine)
     return _Light(even=even, odd=odd), to_camera.reshape(shape[2:])
 
 

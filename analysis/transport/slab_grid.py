@@ -27,6 +27,7 @@ class SlabGrid:
     theta_rad, weight : (n_theta,), polar angles and what they weigh of d mu_x
     n_phi : azimuths in 0 .. pi, an even number
     degree : up to which scattering is expanded in spherical harmonics
+    n_second : polar angles of the closed second order, see `second_order`
     """
 
     x_mm: Array
@@ -35,6 +36,7 @@ class SlabGrid:
     weight: Array
     n_phi: int
     degree: int
+    n_second: int = 0
 
     def __post_init__(self) -> None:
         if self.x_mm.size < 8 or self.n_z < 2 or self.n_phi < 2 or self.n_phi % 2:

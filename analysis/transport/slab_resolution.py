@@ -9,6 +9,7 @@ import numpy as np
 from analysis.medium import Slab
 from analysis.phase_function import Array
 from analysis.transport.slab_grid import SlabGrid, graded_depths, polar_angles
+from analysis.transport.slab_second import angles_for
 
 CROWDING = 1.25
 
@@ -43,4 +44,5 @@ def directions(
         weight=weight,
         n_phi=n_phi,
         degree=round(min(n_forward, 10.0 + 14.0 * g**2)),
+        n_second=max(6, round(min(fineness, 1.0) * angles_for(g))),
     )

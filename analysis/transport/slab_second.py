@@ -41,25 +41,29 @@ def second_order(
     The integrand has two peaks, around the beam and around the camera. Where they are sharp, two
     smooth shares of it, which add to one, are integrated in polar coordinates around either axis.
     """
-    n = n_angles or round(COARSEST + (FINEST - COARSEST) * medium.g**2)
+    n = n_angles or angles_for(medium.g)
     n_phi = round(n * (1.0 + min(STRIPED * wavenumber_per_mm * slab.height_mm, 2.0)))
     cosines, weight = _directions(medium.g, slab.surface_index, n, n_phi)
     g = medium.g
     p_beam = phase_function(np.arccos(np.clip(cosines[:, 0], -1.0, 1.0)), g, "hg-paper")
     p_camera = phase_function(np.arccos(np.clip(cosines[:, 2], -1.0, 1.0)), g, "hg-paper")
     across = float(phase_function(np.array(0.5 * math.pi), g, "hg-paper"))
-    mirror = np.array([reflectance(abs(c), slab.surface_index) for c in cosines[:, 2]])
     sigma_t = medium.sigma_t_per_mm
     seen = -math.expm1(-sigma_t * slab.height_mm) / sigma_t
     found = add_up(
         np.ascontiguousarray(x_mm, dtype=np.float64),
         cosines,
         weight * p_beam * p_camera,
-        mirror,
+        slab.surface_index,
         (sigma_t, wavenumber_per_mm),
         (slab.height_mm, slab.depth_mm),
     )
     return np.asarray(found * sigma_t / (across * seen))
+
+
+def angles_for(g: float) -> int:
+    """Return how many polar angles leave less than 0.1 % of the second order."""
+    return round(COARSEST + (FINEST - COARSEST) * g**2)
 
 
 def _directions(g: float, index: float, n: int, n_phi: int) -> tuple[Array, Array]:
@@ -106,12 +110,45 @@ def _polar_rule(n: int, n_phi: int, breaks: list[float]) -> tuple[Array, Array, 
 
 
 @njit(cache=True, nogil=True)
-def faded(rate: complex, length: float) -> complex:
-    """Return the integral of exp(-rate s) over 0 .. length."""
+def faded(rate: complex, length: float, left: complex) -> complex:
+    """Return the integral of exp(-rate s) over 0 .. length, at whose end ``left`` is left."""
     span = rate * length
     if abs(span) < 1e-4:
         return length * (1.0 - span / 2.0 + span * span / 6.0)
-    return (1.0 - cmath.exp(-span)) / rate
+    return (1.0 - left) / rate
+
+
+@njit(cache=True, nogil=True)
+def seen_of_ray(
+    climbed: float, at_face: complex, rate: complex, sigma_t: float, height: float, mirror: float
+) -> complex:
+    """Return kappa times one direction's light, seen from above, of rays that end on a wall.
+
+    Heights u are counted down from the surface. A ray from the face has climbed, or fallen, by
+    ``climbed`` and keeps ``at_face`` exp(-kappa s) = exp(-rate climbed); ``mirror`` is below zero
+    for a ray that goes up, which ends on the face or the floor.
+    """
+    left = math.exp(-sigma_t * height)
+    whole = (1.0 - left) / sigma_t
+    upper = min(climbed, height)
+    at_upper = at_face if climbed < height else cmath.exp(-rate * height)
+    if mirror < 0.0:
+        from_face = at_face * (1.0 - math.exp(-sigma_t * (height - upper))) / sigma_t
+        from_floor = left * faded(rate - sigma_t, upper, at_upper * math.exp(sigma_t * upper))
+        return whole - from_face - from_floor
+    fallen = math.exp(-sigma_t * upper)
+    once = faded(rate + sigma_t, upper, at_upper * fallen)
+    once += at_face * (fallen - left) / sigma_t
+    light = whole - once
+    if mirror > 0.0:
+        lower = min(max(climbed - height, 0.0), height)
+        at_lower = at_face if climbed < 2.0 * height else at_upper * at_upper
+        crossed = math.exp(-sigma_t * lower)
+        twice = at_face * (crossed - left) / sigma_t
+        if lower > 0.0:
+            twice += (at_upper - at_lower * crossed) / (rate + sigma_t)
+        light += mirror * (once - twice)
+    return light
 
 
 @njit(cache=True, nogil=True)
@@ -119,46 +156,30 @@ def add_up(
     x_mm: Array,
     cosines: Array,
     weight: Array,
-    mirror: Array,
+    index: float,
     medium: tuple[float, float],
     walls: tuple[float, float],
 ) -> Array:
-    """Sum the second bounce's light over directions; heights are counted down from the surface."""
+    """Sum the second bounce's light over directions, (n_x,)."""
     sigma_t, wavenumber = medium
     height, depth = walls
     out = np.zeros(x_mm.size)
-    left = math.exp(-sigma_t * height)
-    whole = (1.0 - left) / sigma_t
     for n in range(weight.size):
         mu_x, mu_y, mu_z = cosines[n]
         kappa = complex(sigma_t * (1.0 - mu_x), wavenumber * mu_y)
         steep = abs(mu_z)
         rate = kappa / steep
-        crossing = cmath.exp(-rate * height)
+        mirror = -1.0 if mu_z > 0.0 else reflectance(steep, index)
+        reach = 2.0 * height if mirror > 0.0 else height
+        # Beyond their reach rays know nothing of the face.
+        deep = (seen_of_ray(2.0 * reach, 0.0j, rate, sigma_t, height, mirror) / kappa).real
         for i in range(x_mm.size):
             to_face = x_mm[i] / mu_x if mu_x > 0.0 else (depth - x_mm[i]) / -mu_x
             climbed = steep * to_face
-            at_face = cmath.exp(-kappa * to_face)
-            if mu_z > 0.0:
-                # Rays from the floor end above u = h - climbed, rays from the face below it.
-                from_floor = min(climbed, height)
-                first = at_face * (1.0 - math.exp(-sigma_t * (height - from_floor))) / sigma_t
-                if from_floor == height:
-                    first = 0.0j
-                first += left * faded(rate - sigma_t, from_floor)
-                light = (whole - first) / kappa
+            if climbed >= reach:
+                out[i] += weight[n] * deep
             else:
-                upper = min(climbed, height)
-                lower = min(max(climbed - height, 0.0), height)
-                once = faded(rate + sigma_t, upper)
-                once += at_face * (math.exp(-sigma_t * upper) - left) / sigma_t
-                light = whole - once
-                if mirror[n] > 0.0 and lower > 0.0:
-                    twice = crossing * faded(rate + sigma_t, lower)
-                    twice += at_face * (math.exp(-sigma_t * lower) - left) / sigma_t
-                    light += mirror[n] * (once - twice)
-                elif mirror[n] > 0.0:
-                    light += mirror[n] * (once - at_face * whole)
-                light /= kappa
-            out[i] += weight[n] * light.real
+                at_face = cmath.exp(-kappa * to_face)
+                light = seen_of_ray(climbed, at_face, rate, sigma_t, height, mirror) / kappa
+                out[i] += weight[n] * light.real
     return out
