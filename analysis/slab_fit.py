@@ -9,95 +9,34 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
 from analysis.errors import AnalysisError
 from analysis.medium import Slab
 from analysis.phase_function import Array
+from analysis.slab_profiles import FEWEST, Problem, Scales, SlabProfiles
 from analysis.slab_table import Range, SlabTable, camera_orders
 from analysis.transport.slab_resolution import depths, directions
 
-Scales = Literal["one", "each"]
 Choice = tuple[Range, Range, float, tuple[int, int]]
 Orders = Callable[[float, float], list[Array]]
 
 TABLES = (  # range of g, of sigma_t over the decay of the profile, fineness, nodes
     ((-0.4, 0.6), (0.9, 1.35), 0.55, (3, 4)),
     ((0.5, 0.82), (0.9, 1.5), 0.7, (4, 4)),
-    ((0.75, 0.96), (0.95, 2.1), 0.85, (4, 4)),
+    ((0.75, 0.96), (1.0, 2.1), 1.0, (4, 4)),
 )
 FINE, FINER = 1.2, 0.5  # of what corrects a table: at g = 0, and how much more where g is one
 COARSE_TAIL = 1e-3
 WALLS = 0.8  # fineness of what height and index change
 CORRECTIONS = 8
 SETTLED = 0.02  # of a standard deviation, or of this times a percent
-SUB_BINS = 4  # Gauss points in a bin of depth
-FEWEST = 6  # bins of depth
 MOST_SEEN = 7.0  # mean free paths beyond the last bin that are still solved for
 ALBEDO = (1e-3, 1.0)
 AT_END = 0.02  # of a range of g: then the next one is tried
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SlabProfiles:
-    """What was measured against depth; NaN where nothing was.
-
-    Attributes
-    ----------
-    depth_mm : (n_x,), middles of bins of depth
-    bin_mm : their width; zero for points
-    wavenumbers_per_mm : (n_q,), 2 pi over the stripes' periods; may be empty
-    harmonics : (n_q, n_x), amplitudes over the stripes' own contrast, so that harmonic and white
-        light share one scale; complex ones with the stripes' phase taken out, whose real part is
-        fitted: at normal incidence A(x; q) is real
-    variance : (n_q, n_x)
-    white, white_variance : (n_x,), or None
-    """
-
-    depth_mm: Array
-    bin_mm: float
-    wavenumbers_per_mm: Array
-    harmonics: Array | NDArray[np.complex128]
-    variance: Array
-    white: Array | None
-    white_variance: Array | None
-
-    def stacked(self) -> tuple[Array, Array, Array]:
-        """Return wave numbers (n,), values and variances (n, n_x), white light last.
-
-        Raises
-        ------
-        AnalysisError
-            If shapes differ, nothing was measured, or a number is impossible.
-        """
-        q = np.atleast_1d(np.asarray(self.wavenumbers_per_mm, dtype=np.float64))
-        values, variance = list(np.real(self.harmonics)), list(self.variance)
-        if self.white is not None and self.white_variance is not None:
-            q = np.append(q, 0.0)
-            values.append(self.white)
-            variance.append(self.white_variance)
-        if any(np.shape(v) != np.shape(self.depth_mm) for v in (*values, *variance)) or not (
-            len(values) == len(variance) == q.size
-        ):
-            msg = "depths, harmonics, white light and variances differ in shape; give one per depth."
-            raise AnalysisError(msg)
-        if q.size == 0 or not (np.isfinite(q).all() and q.min() >= 0.0):
-            msg = f"wave numbers {q.tolist()} / mm: give stripes' 2 pi / period, white light, or both."
-            raise AnalysisError(msg)
-        found, noise = np.array(values, dtype=np.float64), np.array(variance, dtype=np.float64)
-        found = np.where(np.isfinite(noise) & (noise > 0.0), found, np.nan)
-        if np.isfinite(found).sum(axis=1).min() < FEWEST:
-            msg = (
-                f"a profile has fewer than {FEWEST} depths with a value and a variance; "
-                "measure deeper, or leave it out."
-            )
-            raise AnalysisError(msg)
-        return q, found, noise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,56 +87,23 @@ class SlabFit:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Problem:
-    """The profiles, and how orders on the table's depths become them.
+class _Found:
+    """A minimum, and what led to it.
 
     Attributes
     ----------
-    at_mm, weight : (n_x, s) points of each bin and their weights
-    to_points : (n_x s, n_nodes), spline from the table's depths
+    at : sigma_t, albedo, g
+    shift : by how much the last correction moved it
+    sure : whether it lies inside its ranges, and corrections have settled
     """
 
-    wavenumbers: Array
-    values: Array
-    std: Array
-    use: NDArray[np.bool_]
-    at_mm: Array
-    weight: Array
-    to_points: Array
-    scales: Scales
-
-    def profiles(self, orders: list[Array], sigma_t: float, albedo: float) -> Array:
-        """Return A(x; q) of every profile, (n, n_x)."""
-        decay = np.exp(-sigma_t * self.at_mm)
-        found = [
-            ((self.to_points @ summed(of_q, albedo)).reshape(decay.shape) * decay) @ self.weight
-            for of_q in orders
-        ]
-        return np.array(found)
-
-    def scaled(self, shapes: Array) -> tuple[Array, Array]:
-        """Return the best scales (n,), and scaled shapes."""
-        weighted = np.where(self.use, shapes / self.std**2, 0.0)
-        up = np.where(self.use, weighted * self.values, 0.0).sum(axis=1)
-        down = (weighted * shapes).sum(axis=1)
-        if self.scales == "one":
-            up, down = np.full_like(up, up.sum()), np.full_like(down, down.sum())
-        scales = up / down
-        return scales, scales[:, None] * shapes
-
-
-def summed(orders: Array, albedo: float) -> Array:
-    """Return the sum of all orders at an albedo, (n_x,), from those at one, (K, n_x).
-
-    Orders beyond the last go on with the ratio of the last two.
-    """
-    total = np.polynomial.polynomial.polyval(albedo, orders)
-    if orders.shape[0] < 3:
-        return np.asarray(total)
-    before, last = orders[-2], orders[-1]
-    ratio = np.divide(last, before, out=np.zeros_like(last), where=before > 0.0)
-    ratio = albedo * np.clip(ratio, 0.0, 0.99)
-    return np.asarray(total + albedo ** (orders.shape[0] - 1) * last * ratio / (1.0 - ratio))
+    at: Array
+    orders: Orders
+    problem: Problem
+    table: SlabTable
+    shift: Array
+    sure: bool
+    n_solved: int
 
 
 def fit_slab(
@@ -224,84 +130,89 @@ def fit_slab(
     AnalysisError
         If the profiles are unfit, do not decay, or the table is about something else.
     """
-    q, values, variance = profiles.stacked()
-    std, use = np.sqrt(variance), np.isfinite(values)
-    n_solved, corrections = 0, 0 if table else CORRECTIONS
     if table is not None:
-        _refuse_other(table, slab, q, profiles)
-        problem = _problem(profiles, q, values, std, use, table.x_mm, scales)
-        at, limit = _minimise(problem, table.orders, table, None)
+        _refuse_other(table, slab, profiles)
+        problem = Problem.of(profiles, table.x_mm, scales)
+        at, sure = _minimise(problem, table.orders, table, None)
+        found = _Found(
+            at=at,
+            orders=table.orders,
+            problem=problem,
+            table=table,
+            shift=np.zeros(3),
+            sure=sure,
+            n_solved=0,
+        )
     else:
-        for choice in TABLES:
-            table = _first_table(profiles, q, values, variance, slab, choice)
-            n_solved += q.size * math.prod(choice[3])
-            problem = _problem(profiles, q, values, std, use, table.x_mm, scales)
-            at, limit = _minimise(problem, table.orders, table, None)
-            if at[2] < table.g[1] - AT_END:
-                break
-    shift, orders, settled = np.zeros(3), table.orders, corrections == 0
-    for _ in range(corrections):
-        orders = _corrected(table, at)
-        n_solved += q.size
-        before = at
-        at, limit = _minimise(problem, orders, table, at)
-        shift = at - before
-        std = np.sqrt(np.diag(_covariance(problem, orders, at)[0]))
-        if np.all(np.abs(shift) < SETTLED * np.maximum(std, 0.01 * np.abs(at))):
-            settled = True
-            break
-    covariance, gain = _covariance(problem, orders, at)
+        found = _solve_and_fit(profiles, slab, scales)
+    covariance, gain = _covariance(found.problem, found.orders, found.at)
     by_walls = np.full((2, 3), np.nan)
     if unknown_walls:
-        by_walls = _by_walls(problem, table, at, gain)
-        n_solved += 3 * q.size
-    return _told(problem, orders, at, limit or not settled, covariance, by_walls, shift, n_solved)
+        by_walls = _by_walls(found, gain)
+    return _told(found, covariance, by_walls)
 
 
-def _told(
-    problem: _Problem,
-    orders: Orders,
-    at: Array,
-    limit: bool,
-    covariance: Array,
-    by_walls: Array,
-    shift: Array,
-    n_solved: int,
-) -> SlabFit:
-    sigma_t, albedo, g = at
-    scales, model = problem.scaled(problem.profiles(orders(sigma_t, g), sigma_t, albedo))
-    residual = np.where(problem.use, problem.values - model, 0.0)
-    chi2 = float(((residual / np.where(problem.use, problem.std, 1.0)) ** 2).sum())
-    dof = max(int(problem.use.sum()) - 3 - (1 if problem.scales == "one" else scales.size), 1)
-    light = float((np.where(problem.use, problem.values, 0.0) ** 2).sum())
-    to_sigma_s = _to_sigma_s(at)
+def _solve_and_fit(profiles: SlabProfiles, slab: Slab, scales: Scales) -> _Found:
+    """Fit with a coarse table for the range of g it takes, then correct that where the fit is."""
+    n_solved = 0
+    for choice in TABLES:
+        table = _first_table(profiles, slab, choice)
+        n_solved += table.wavenumbers_per_mm.size * math.prod(choice[3])
+        problem = Problem.of(profiles, table.x_mm, scales)
+        at, _ = _minimise(problem, table.orders, table, None)
+        if at[2] < table.g[1] - AT_END:
+            break
+    settled = False
+    for _ in range(CORRECTIONS):
+        orders = _corrected(table, at)
+        n_solved += table.wavenumbers_per_mm.size
+        before = at
+        at, sure = _minimise(problem, orders, table, at)
+        std = np.sqrt(np.diag(_covariance(problem, orders, at)[0]))
+        settled = bool(np.all(np.abs(at - before) < SETTLED * np.maximum(std, 0.01 * np.abs(at))))
+        if settled:
+            break
+    return _Found(
+        at=at,
+        orders=orders,
+        problem=problem,
+        table=table,
+        shift=at - before,
+        sure=sure and settled,
+        n_solved=n_solved,
+    )
+
+
+def _told(found: _Found, covariance: Array, by_walls: Array) -> SlabFit:
+    problem, at = found.problem, found.at
+    sigma_t, albedo, g = (float(v) for v in at)
+    shapes = problem.profiles(found.orders(sigma_t, g), sigma_t, albedo)
+    scales, model = problem.scaled(shapes)
+    chi2 = float((problem.pulls(model) ** 2).sum())
+    light = problem.values[problem.use]
+    left = light - model[problem.use]
+    to_sigma_s = np.array([[1.0, 0.0, 0.0], [albedo, sigma_t, 0.0], [0.0, 0.0, 1.0]])
     return SlabFit(
-        sigma_t_per_mm=float(sigma_t),
-        sigma_s_per_mm=float(sigma_t * albedo),
-        g=float(g),
+        sigma_t_per_mm=sigma_t,
+        sigma_s_per_mm=sigma_t * albedo,
+        g=g,
         scales=scales,
         covariance=to_sigma_s @ covariance @ to_sigma_s.T,
         by_height=to_sigma_s @ by_walls[0],
         by_index=to_sigma_s @ by_walls[1],
         model=model,
-        chi2_per_dof=chi2 / dof,
-        rms_relative=math.sqrt(float((residual**2).sum()) / light),
-        at_limit=limit,
-        solver_shift=to_sigma_s @ shift,
-        n_solved=n_solved,
+        chi2_per_dof=chi2 / problem.degrees_of_freedom,
+        rms_relative=math.sqrt(float((left**2).sum() / (light**2).sum())),
+        at_limit=not found.sure,
+        solver_shift=to_sigma_s @ found.shift,
+        n_solved=found.n_solved,
     )
 
 
-def _to_sigma_s(at: Array) -> Array:
-    """Return the derivatives of (sigma_t, sigma_s, g) by (sigma_t, albedo, g)."""
-    return np.array([[1.0, 0.0, 0.0], [at[1], at[0], 0.0], [0.0, 0.0, 1.0]])
-
-
-def _first_table(
-    profiles: SlabProfiles, q: Array, values: Array, variance: Array, slab: Slab, choice: Choice
-) -> SlabTable:
+def _first_table(profiles: SlabProfiles, slab: Slab, choice: Choice) -> SlabTable:
     """Return a coarse table around the decay of the first profile, no deeper than is needed."""
     g, share, fineness, n_nodes = choice
+    q, values, variance = profiles.stacked()
     sigma_t = _decay(profiles.depth_mm, values[0], variance[0])
     seen = float(profiles.depth_mm[np.isfinite(values).any(axis=0)].max() + profiles.bin_mm)
     deep = min(slab.depth_mm, seen + min(MOST_SEEN / sigma_t, 4.0 * slab.height_mm))
@@ -333,45 +244,26 @@ def _decay(depth_mm: Array, values: Array, variance: Array) -> float:
     return -slope
 
 
-def _problem(
-    profiles: SlabProfiles,
-    q: Array,
-    values: Array,
-    std: Array,
-    use: NDArray[np.bool_],
-    x_mm: Array,
-    scales: Scales,
-) -> _Problem:
-    node, weight = np.polynomial.legendre.leggauss(SUB_BINS if profiles.bin_mm > 0.0 else 1)
-    at_mm = profiles.depth_mm[:, None] + 0.5 * profiles.bin_mm * node
-    to_points = CubicSpline(x_mm, np.eye(x_mm.size))(at_mm.ravel())
-    return _Problem(
-        wavenumbers=q,
-        values=values,
-        std=std,
-        use=use,
-        at_mm=at_mm,
-        weight=0.5 * weight,
-        to_points=to_points,
-        scales=scales,
-    )
-
-
 def _minimise(
-    problem: _Problem, orders: Orders, table: SlabTable, at: Array | None
+    problem: Problem, orders: Orders, table: SlabTable, at: Array | None
 ) -> tuple[Array, bool]:
-    """Return (sigma_t, albedo, g) within the table's ranges, and whether it stopped at an end."""
+    """Return (sigma_t, albedo, g) within the table's ranges, and whether it lies inside them."""
     low, high = table.sigma_t_per_mm
     bounds = np.array([[low, ALBEDO[0], table.g[0]], [high, ALBEDO[1], table.g[1]]])
 
     def residual(p: Array) -> Array:
-        _, model = problem.scaled(problem.profiles(orders(p[0], p[2]), p[0], p[1]))
-        return np.asarray(((problem.values - model) / problem.std)[problem.use])
+        return problem.pulls(problem.scaled(problem.profiles(orders(p[0], p[2]), p[0], p[1]))[1])
 
-    starts = [at] if at is not None else [
-        np.array([low + 0.2 * (high - low), 0.7, table.g[0] + share * (table.g[1] - table.g[0])])
-        for share in (0.3, 0.8)
-    ]
+    starts = (
+        [at]
+        if at is not None
+        else [
+            np.array(
+                [low + 0.2 * (high - low), 0.7, table.g[0] + share * (table.g[1] - table.g[0])]
+            )
+            for share in (0.3, 0.8)
+        ]
+    )
     tried = [
         least_squares(
             residual,
@@ -384,7 +276,7 @@ def _minimise(
         for start in starts
     ]
     best = min(tried, key=lambda found: float(found.cost))
-    return np.asarray(best.x), bool(np.any(best.active_mask != 0))
+    return np.asarray(best.x), not np.any(best.active_mask)
 
 
 def _corrected(table: SlabTable, at: Array) -> Orders:
@@ -405,17 +297,16 @@ def _corrected(table: SlabTable, at: Array) -> Orders:
     return orders
 
 
-def _covariance(problem: _Problem, orders: Orders, at: Array) -> tuple[Array, Array]:
+def _covariance(problem: Problem, orders: Orders, at: Array) -> tuple[Array, Array]:
     """Return the covariance of (sigma_t, albedo, g), and what data errors do to them, (3, n n_x).
 
     The scales are fitted along; errors are in units of the noise.
     """
-    sigma_t, albedo, g = (float(v) for v in at)
 
     def model(p: Array) -> Array:
         return problem.profiles(orders(p[0], p[2]), p[0], p[1])
 
-    steps = np.array([1e-3 * sigma_t, 1e-4, 1e-3])
+    steps = np.array([1e-3 * at[0], 1e-4, 1e-3])
     scales, _ = problem.scaled(model(at))
     columns = []
     for i, step in enumerate(steps):
@@ -433,9 +324,10 @@ def _covariance(problem: _Problem, orders: Orders, at: Array) -> tuple[Array, Ar
     return normal[:3, :3], np.asarray(normal @ jacobian)[:3]
 
 
-def _by_walls(problem: _Problem, table: SlabTable, at: Array, gain: Array) -> Array:
+def _by_walls(found: _Found, gain: Array) -> Array:
     """Return what (sigma_t, albedo, g) change by per mm of height and per unit of index, (2, 3)."""
-    sigma_t, albedo, g = (float(v) for v in at)
+    problem, table = found.problem, found.table
+    sigma_t, albedo, g = (float(v) for v in found.at)
 
     def model(slab: Slab) -> Array:
         orders = []
@@ -446,7 +338,7 @@ def _by_walls(problem: _Problem, table: SlabTable, at: Array, gain: Array) -> Ar
 
     here = model(table.slab)
     scales, _ = problem.scaled(here)
-    found = []
+    moved = []
     height, index = table.slab.height_mm, table.slab.surface_index
     for changed, step in (
         (replace(table.slab, height_mm=1.02 * height), 0.02 * height),
@@ -454,11 +346,12 @@ def _by_walls(problem: _Problem, table: SlabTable, at: Array, gain: Array) -> Ar
     ):
         seen = scales[:, None] * (model(changed) - here) / step
         # The model changes by this; the parameters move to undo it.
-        found.append(-gain @ (seen / problem.std)[problem.use])
-    return np.array(found)
+        moved.append(-gain @ (seen / problem.std)[problem.use])
+    return np.array(moved)
 
 
-def _refuse_other(table: SlabTable, slab: Slab, q: Array, profiles: SlabProfiles) -> None:
+def _refuse_other(table: SlabTable, slab: Slab, profiles: SlabProfiles) -> None:
+    q = profiles.stacked()[0]
     told = (table.slab.height_mm, table.slab.surface_index)
     if told != (slab.height_mm, slab.surface_index):
         msg = f"the table is of height and index {told}, the slab is another; make a table for it."

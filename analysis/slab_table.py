@@ -2,15 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
-import os
-import tempfile
-import zipfile
-from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -64,7 +57,6 @@ class SlabTable:
         n_nodes: tuple[int, int],
         fineness: float,
         tail: float = TAIL,
-        progress: Callable[[int, int], None] | None = None,
     ) -> SlabTable:
         """Solve at every node; ``fineness`` is that of `directions`.
 
@@ -77,23 +69,15 @@ class SlabTable:
         """
         _refuse(sigma_t_per_mm, g, n_nodes)
         found = []
-        at_sigma_t, at_g = (
-            _nodes(n, r) for n, r in zip(n_nodes, (sigma_t_per_mm, g), strict=True)
-        )
-        done = 0
+        at_sigma_t, at_g = (_nodes(n, r) for n, r in zip(n_nodes, (sigma_t_per_mm, g), strict=True))
         for q in wavenumbers_per_mm:
             hardest = max(g, key=abs)
-            grid = directions(
-                hardest, slab, x_mm, wavenumber_per_mm=q, fineness=fineness
-            )
+            grid = directions(hardest, slab, x_mm, wavenumber_per_mm=q, fineness=fineness)
             n_bounces = orders_of(sigma_t_per_mm[1], g[1], slab, grid, q, tail=tail)
             values = np.empty((*n_nodes, n_bounces, x_mm.size))
             for i, sigma_t in enumerate(at_sigma_t):
                 for j, asymmetry in enumerate(at_g):
                     values[i, j] = camera_orders(sigma_t, asymmetry, slab, grid, q, n_bounces)
-                    done += 1
-                    if progress is not None:
-                        progress(done, len(wavenumbers_per_mm) * n_nodes[0] * n_nodes[1])
             found.append(_transformed(values))
         return cls(
             slab=slab,
@@ -106,7 +90,9 @@ class SlabTable:
 
     def orders(self, sigma_t_per_mm: float, g: float) -> list[Array]:
         """Return A_k exp(sigma_t x) for an albedo of one, (K, n_x) for each wave number."""
-        by_sigma_t = _polynomials(sigma_t_per_mm, self.sigma_t_per_mm, self.coefficients[0].shape[0])
+        by_sigma_t = _polynomials(
+            sigma_t_per_mm, self.sigma_t_per_mm, self.coefficients[0].shape[0]
+        )
         by_g = _polynomials(g, self.g, self.coefficients[0].shape[1])
         found = []
         for c in self.coefficients:
@@ -118,7 +104,7 @@ class SlabTable:
 def _polynomials(value: float, span: Range, n: int) -> Array:
     """Return Chebyshev polynomials 0 .. n - 1 of a value within a range."""
     u = (2.0 * value - span[0] - span[1]) / (span[1] - span[0])
-    return np.polynomial.chebyshev.chebvander(np.array([u]), n - 1)[0]
+    return np.asarray(np.polynomial.chebyshev.chebvander(np.array([u]), n - 1)[0])
 
 
 def camera_orders(
@@ -126,9 +112,7 @@ def camera_orders(
 ) -> Array:
     """Return what the camera sees of bounces 1 .. n_bounces, (K, n_x), see `SlabField`."""
     medium = Medium(sigma_t_per_mm=sigma_t, sigma_s_per_mm=sigma_t, g=g)
-    return solve_slab(
-        medium, slab, grid, n_bounces=n_bounces, wavenumber_per_mm=wavenumber
-    ).camera
+    return solve_slab(medium, slab, grid, n_bounces=n_bounces, wavenumber_per_mm=wavenumber).camera
 
 
 def orders_of(
@@ -137,9 +121,7 @@ def orders_of(
     """Return how many orders leave less than ``tail`` to the last, at an albedo of one."""
     medium = Medium(sigma_t_per_mm=sigma_t, sigma_s_per_mm=sigma_t, g=g)
     most = STRIPED_ORDERS if wavenumber else WHITE_ORDERS
-    field = solve_slab(
-        medium, slab, grid, n_bounces=most, wavenumber_per_mm=wavenumber, least=tail
-    )
+    field = solve_slab(medium, slab, grid, n_bounces=most, wavenumber_per_mm=wavenumber, least=tail)
     return int(field.camera.shape[0])
 
 
@@ -160,7 +142,7 @@ def _transformed(values: Array) -> Array:
 
 def _refuse(sigma_t: Range, g: Range, n_nodes: tuple[int, int]) -> None:
     if not 0.0 < sigma_t[0] < sigma_t[1] < math.inf or not -1.0 < g[0] < g[1] < 1.0:
-        msg = f"sigma_t {list(sigma_t)}, g {list(g)} are no ranges: 0 < from < to, -1 < from < to < 1."
+        msg = f"sigma_t {list(sigma_t)}, g {list(g)}: ranges are 0 < from < to, -1 < from < to < 1."
         raise AnalysisError(msg)
     if min(n_nodes) < 2:
         msg = f"n_nodes = {list(n_nodes)}: a table has at least two nodes along either axis."

@@ -27,7 +27,8 @@ def scattered_share(cosine: float, g: float) -> float:
     """Return Eq. 2 per steradian; the form that keeps its digits as g tends to one."""
     a = abs(g)
     near = 1.0 - cosine if g >= 0.0 else 1.0 + cosine
-    return (1.0 - a * a) / (4.0 * math.pi * ((1.0 - a) ** 2 + 2.0 * a * near) ** 1.5)
+    spread = (1.0 - a) ** 2 + 2.0 * a * near
+    return (1.0 - a * a) / (4.0 * math.pi * spread * math.sqrt(spread))
 
 
 @njit(cache=True, nogil=True)
@@ -95,6 +96,93 @@ def moved(place: Triple, to: Triple, way: float) -> Triple:
 
 
 @njit(cache=True, nogil=True)
+def collide(
+    place: Triple, to: Triple, box: Triple, sigma_t: float, index: float, share: float
+) -> tuple[Triple, Triple, float]:
+    """Return where a ray collides at quantile ``share``, its direction there, and its lit length.
+
+    The collision is forced onto the ray, the part mirrored by the surface and all; sigma_s times
+    the lit length is what the path's weight is multiplied by.
+    """
+    first, top = way_out(place, to, box)
+    lit = lit_length(sigma_t, first)
+    if not top:
+        way = -math.log1p(-share * lit * sigma_t) / sigma_t
+        return moved(place, to, min(way, first)), to, lit
+    sent_back = reflectance(to[2], index) * math.exp(-sigma_t * first)
+    surface = moved(place, to, first)
+    under, below = (surface[0], surface[1], box[2]), (to[0], to[1], -to[2])
+    second, _ = way_out(under, below, box)
+    beyond = sent_back * lit_length(sigma_t, second)
+    chosen = share * (lit + beyond)
+    if chosen < lit or sent_back == 0.0:
+        way = -math.log1p(-min(chosen, lit) * sigma_t) / sigma_t
+        return moved(place, to, min(way, first)), to, lit + beyond
+    way = -math.log1p(-(chosen - lit) / sent_back * sigma_t) / sigma_t
+    return moved(under, below, min(way, second)), below, lit + beyond
+
+
+@njit(cache=True, nogil=True)
+def score_mirrored(
+    begin: Triple,
+    direction: Triple,
+    share: float,
+    entered: float,
+    medium: Triple,
+    box: Triple,
+    index: float,
+    seen_by_camera: bool,
+    wavenumber: float,
+    harmonics: NDArray[np.int64],
+    wave: NDArray[np.complex128],
+    scores: Array,
+    modulated: NDArray[np.complex128],
+) -> None:
+    """Score a ray up to a wall, and after the surface's mirror to the next.
+
+    Parameters
+    ----------
+    share : weight of the path
+    entered : where along y the path entered, mm
+    scores, modulated : (n_y, n_x) and (n_y, n_x, n_harmonics)
+    """
+    sigma_t, _, g = medium
+    n_y, n_x = scores.shape
+    left = -math.log(NEGLIGIBLE_TRANSMISSION) / sigma_t
+    dark = np.empty((0, 0))
+    while True:
+        first, top = way_out(begin, direction, box)
+        fading, value = sigma_t, share
+        if seen_by_camera:
+            # What the ray scatters upwards fades on the rest of the way up.
+            fading = sigma_t * (1.0 - direction[2])
+            value *= scattered_share(direction[2], g) * math.exp(-sigma_t * (box[2] - begin[2]))
+        score_ray(
+            (begin[0], begin[1], begin[1] - entered),
+            (direction[0], direction[1], direction[1]),
+            (box[1] / n_y, box[0] / n_x),
+            min(first, left),
+            fading,
+            value,
+            wavenumber,
+            harmonics,
+            wave,
+            scores,
+            dark,
+            modulated,
+        )
+        if not top or first >= left:
+            return
+        left -= first
+        share *= reflectance(direction[2], index) * math.exp(-sigma_t * first)
+        if share == 0.0:
+            return
+        at = moved(begin, direction, first)
+        begin = (at[0], at[1], box[2])
+        direction = (direction[0], direction[1], -direction[2])
+
+
+@njit(cache=True, nogil=True)
 def follow_slab(
     medium: Triple,
     box: Triple,
@@ -125,12 +213,8 @@ def follow_slab(
     modulated : (n, n_y, n_x, n_harmonics)
     """
     sigma_t, sigma_s, g = medium
-    depth, width, height = box
-    n_orders, n_y, n_x = scores.shape
-    cell = (width / n_y, depth / n_x)
-    longest = -math.log(NEGLIGIBLE_TRANSMISSION) / sigma_t
+    height, n_orders = box[2], scores.shape[0]
     wave = np.empty((2, harmonics.size), dtype=np.complex128)
-    dark = np.empty((0, 0))
     for n in range(paths[0], paths[1]):
         entered = draw(entry[0], entry[1], entry[2], (shift[0] + n * lattice[0]) % 1.0)
         place = (0.0, entered, ((shift[1] + n * lattice[1]) % 1.0) * height)
@@ -142,58 +226,26 @@ def follow_slab(
                 v = (shift[3 * k + 4] + n * lattice[3 * k + 4]) % 1.0
             else:
                 r, u, v = rng.random(), rng.random(), rng.random()
-            # The collision is forced onto the ray, mirrored part and all.
-            first, top = way_out(place, to, box)
-            lit, sent_back, beyond = lit_length(sigma_t, first), 0.0, 0.0
-            if top:
-                sent_back = reflectance(to[2], index) * math.exp(-sigma_t * first)
-                above = (to[0], to[1], -to[2])
-                surface = moved(place, to, first)
-                second, _ = way_out((surface[0], surface[1], height), above, box)
-                beyond = sent_back * lit_length(sigma_t, second)
-            chosen = r * (lit + beyond)
-            if chosen < lit or not top:
-                way = -math.log1p(-min(chosen, lit) * sigma_t) / sigma_t
-                place = moved(place, to, min(way, first))
-            else:
-                way = -math.log1p(-(chosen - lit) / sent_back * sigma_t) / sigma_t
-                place = moved((surface[0], surface[1], height), above, min(way, second))
-                to = above
-            factor = sigma_s * (lit + beyond)
+            place, to, lit = collide(place, to, box, sigma_t, index, r)
+            factor = sigma_s * lit
             weight *= factor
             to, more = next_direction(to, g, u, v)
             weight *= more
-            begin, direction, share, left = place, to, weight, longest
-            while True:
-                first, top = way_out(begin, direction, box)
-                if seen_by_camera:
-                    fading = sigma_t * (1.0 - direction[2])
-                    value = share * scattered_share(direction[2], g)
-                    value *= math.exp(-sigma_t * (height - begin[2]))
-                else:
-                    fading, value = sigma_t, share
-                score_ray(
-                    (begin[0], begin[1], begin[1] - entered),
-                    (direction[0], direction[1], direction[1]),
-                    cell,
-                    min(first, left),
-                    fading,
-                    value,
-                    wavenumber,
-                    harmonics,
-                    wave,
-                    scores[k],
-                    dark,
-                    modulated[slots[k]],
-                )
-                if not top or first >= left:
-                    break
-                left -= first
-                share *= reflectance(direction[2], index) * math.exp(-sigma_t * first)
-                if share == 0.0:
-                    break
-                at = moved(begin, direction, first)
-                begin, direction = (at[0], at[1], height), (direction[0], direction[1], -direction[2])
+            score_mirrored(
+                place,
+                to,
+                weight,
+                entered,
+                medium,
+                box,
+                index,
+                seen_by_camera,
+                wavenumber,
+                harmonics,
+                wave,
+                scores[k],
+                modulated[slots[k]],
+            )
             # Roulette: dim paths are thinned out, the survivors carry their weight.
             survival = math.sqrt(min(factor, 1.0))
             if rng.random() >= survival:

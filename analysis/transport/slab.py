@@ -55,7 +55,7 @@ class _Rays:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Light:
-    """A source or a radiance, (n_phi, n_theta, n_z, n_x), even and odd in mu_y; odd may be empty."""
+    """A source or a radiance, (n_phi, n_theta, n_z, n_x): its even and odd part in mu_y."""
 
     even: Array
     odd: Array

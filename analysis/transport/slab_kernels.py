@@ -42,37 +42,33 @@ def climb_and_fall(
     striped = odd.size > 0
     source = np.zeros((n_z, n_x), dtype=np.complex128)
     light = np.zeros((n_z, n_x), dtype=np.complex128)
+    nothing = np.zeros((n_z, n_x))
     for p in range(n_phi // 2):
         fall = n_phi - 1 - p
         for t in range(n_theta):
+            kept, gathered = left[p, t], share[:, p, t]
             for z in range(n_z):
-                for x in range(n_x):
-                    source[z, x] = complex(even[p, t, z, x], odd[p, t, z, x] if striped else 0.0)
-            _carry_modes(source, forward[t], left[p, t], share[:, p, t], to_modes, from_modes, light)
+                source[z] = even[p, t, z] + 1j * (odd[p, t, z] if striped else nothing[z])
+            _carry_modes(source, forward[t], kept, gathered, to_modes, from_modes, light)
+            top = np.zeros(n_x, dtype=np.complex128)
             for z in range(n_z):
-                sign = 1.0 if z % 2 == 0 else -1.0
-                for x in range(n_x):
-                    out_even[p, t, z, x] = light[z, x].real
-                    seen = complex(even[fall, t, z, x], odd[fall, t, z, x] if striped else 0.0)
-                    source[z, x] = sign * seen
-                    if striped:
-                        out_odd[p, t, z, x] = light[z, x].imag
-            if entering[p, t] > 0.0:
-                for x in range(n_x):
-                    top = 0.0j
-                    for z in range(n_z):
-                        # Every P_l is one at the surface. Half the modes leave an imaginary part.
-                        top += light[z, x] if striped else light[z, x].real
-                    top *= entering[p, t]
-                    for z in range(n_z):
-                        source[z, x] += inflow[z] * top
-            _carry_modes(source, forward[t], left[p, t], share[:, p, t], to_modes, from_modes, light)
+                out_even[p, t, z] = light[z].real
+                if striped:
+                    out_odd[p, t, z] = light[z].imag
+                # Every P_l is one at the surface. Half the modes leave an imaginary part.
+                top += light[z] if striped else light[z].real + 0.0j
             for z in range(n_z):
                 sign = 1.0 if z % 2 == 0 else -1.0
-                for x in range(n_x):
-                    out_even[fall, t, z, x] = sign * light[z, x].real
-                    if striped:
-                        out_odd[fall, t, z, x] = sign * light[z, x].imag
+                source[z] = sign * (
+                    even[fall, t, z] + 1j * (odd[fall, t, z] if striped else nothing[z])
+                )
+                source[z] += inflow[z] * entering[p, t] * top
+            _carry_modes(source, forward[t], kept, gathered, to_modes, from_modes, light)
+            for z in range(n_z):
+                sign = 1.0 if z % 2 == 0 else -1.0
+                out_even[fall, t, z] = sign * light[z].real
+                if striped:
+                    out_odd[fall, t, z] = sign * light[z].imag
 
 
 @njit(cache=True, nogil=True)

@@ -35,7 +35,8 @@ def directions(
     phase = min(wavenumber_per_mm * slab.height_mm, 40.0)
     n_forward = max(6, round(fineness * (10.0 + 8.0 * g**2 + 0.1 * phase)))
     n_backward = max(4, round(fineness * (6.0 + 6.0 * g**4)))
-    n_phi = 2 * max(2, round(0.5 * fineness * (10.0 + 4.0 * g**2 + 0.15 * phase)))
+    wave = phase * (0.15 + 0.15 * g**8)
+    n_phi = 2 * max(2, round(0.5 * fineness * (10.0 + 4.0 * g**2 + wave)))
     theta, weight = polar_angles(n_forward, n_backward, CROWDING)
     return SlabGrid(
         x_mm=x_mm,

@@ -114,8 +114,8 @@ def faded(rate: complex, length: float, left: complex) -> complex:
     """Return the integral of exp(-rate s) over 0 .. length, at whose end ``left`` is left."""
     span = rate * length
     if abs(span) < 1e-4:
-        return length * (1.0 - span / 2.0 + span * span / 6.0)
-    return (1.0 - left) / rate
+        return complex(length * (1.0 - span / 2.0 + span * span / 6.0))
+    return complex((1.0 - left) / rate)
 
 
 @njit(cache=True, nogil=True)
@@ -135,7 +135,7 @@ def seen_of_ray(
     if mirror < 0.0:
         from_face = at_face * (1.0 - math.exp(-sigma_t * (height - upper))) / sigma_t
         from_floor = left * faded(rate - sigma_t, upper, at_upper * math.exp(sigma_t * upper))
-        return whole - from_face - from_floor
+        return complex(whole - from_face - from_floor)
     fallen = math.exp(-sigma_t * upper)
     once = faded(rate + sigma_t, upper, at_upper * fallen)
     once += at_face * (fallen - left) / sigma_t
@@ -148,7 +148,7 @@ def seen_of_ray(
         if lower > 0.0:
             twice += (at_upper - at_lower * crossed) / (rate + sigma_t)
         light += mirror * (once - twice)
-    return light
+    return complex(light)
 
 
 @njit(cache=True, nogil=True)
