@@ -33,7 +33,7 @@ FINE, FINER = 1.2, 0.5  # of what corrects a table: at g = 0, and how much more 
 COARSE_TAIL = 1e-3
 WALLS = 0.8  # fineness of what height and index change
 CORRECTIONS = 8
-SETTLED = 0.02  # of a standard deviation, or of this times a percent
+SETTLED = 0.1  # of a standard deviation or of half a percent, if that is more
 MOST_SEEN = 7.0  # mean free paths beyond the last bin that are still solved for
 ALBEDO = (1e-3, 1.0)
 AT_END = 0.02  # of a range of g: then the next one is tried
@@ -169,7 +169,7 @@ def _solve_and_fit(profiles: SlabProfiles, slab: Slab, scales: Scales) -> _Found
         before = at
         at, sure = _minimise(problem, orders, table, at)
         std = np.sqrt(np.diag(_covariance(problem, orders, at)[0]))
-        settled = bool(np.all(np.abs(at - before) < SETTLED * np.maximum(std, 0.01 * np.abs(at))))
+        settled = bool(np.all(np.abs(at - before) < SETTLED * np.maximum(std, 0.005 * np.abs(at))))
         if settled:
             break
     return _Found(

@@ -64,7 +64,7 @@ class SlabProfiles:
             )
             raise AnalysisError(msg)
         if q.size == 0 or not (np.isfinite(q).all() and q.min() >= 0.0):
-            msg = f"wave numbers {q.tolist()} / mm: give 2 pi over the stripes' period, or white light."
+            msg = f"wave numbers {q.tolist()} / mm: give 2 pi / period, or white light."
             raise AnalysisError(msg)
         found, noise = np.array(values, dtype=np.float64), np.array(variance, dtype=np.float64)
         found = np.where(np.isfinite(noise) & (noise > 0.0), found, np.nan)

@@ -34,12 +34,17 @@ class SlabField:
     ----------
     camera : (K, n_x), what the camera sees of bounces 1 .. K, A_1 = 1
     fluence : (K, n_x), mean over the height
+    escape : (K, n_x), flux out through surface and floor, over the height, 1/mm
+    ends : (K, 2), flux out through the lit face and the far wall, mean over the height, without the
+        beam itself
     """
 
     x_mm: Array
     sigma_t_per_mm: float
     camera: Array
     fluence: Array
+    escape: Array
+    ends: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,6 +110,7 @@ def _march(
         grid.x_mm, medium, slab, wavenumber_per_mm=wavenumber, n_angles=grid.n_second
     )
     camera, fluence = [np.ones(grid.x_mm.size), second], [np.ones(grid.x_mm.size)]
+    escape, ends = [np.zeros(grid.x_mm.size)], [np.zeros(2)]
     source = _first_source(medium, grid, striped=wavenumber != 0.0)
     watched = np.zeros((grid.n_z, grid.x_mm.size))
     watched[0] = across
@@ -112,6 +118,8 @@ def _march(
     for k in range(2, n_bounces + 1):
         light = _transport(source, rays)
         fluence.append(_fluence(light.even, grid))
+        escape.append(_escape(light.even, grid) / slab.height_mm)
+        ends.append(_ends(light.even, grid))
         source, to_camera = _scatter(light, scattering, sigma_t)
         to_camera += scattering.share_ahead * watched
         watched = upward @ to_camera
@@ -124,6 +132,8 @@ def _march(
         sigma_t_per_mm=sigma_t,
         camera=np.array(camera[:n_bounces]),
         fluence=np.array(fluence),
+        escape=np.array(escape),
+        ends=np.array(ends),
     )
 
 
@@ -207,6 +217,22 @@ def _fluence(even: Array, grid: SlabGrid) -> Array:
     """Return the integral over all directions of the mean over the height, (n_x,)."""
     per_phi = 2.0 * np.pi / grid.n_phi
     return np.asarray(per_phi * (grid.weight @ even[:, :, 0].sum(axis=0)))
+
+
+def _escape(even: Array, grid: SlabGrid) -> Array:
+    """Return the net flux out through surface and floor, (n_x,)."""
+    climb = grid.cosines[2] * grid.weight * (2.0 * np.pi / grid.n_phi)
+    sign = (-1.0) ** np.arange(grid.n_z)
+    surface = np.einsum("pt,ptzx->x", climb, even)
+    floor = np.einsum("pt,ptzx,z->x", np.minimum(climb, 0.0), even, sign)
+    return np.asarray(surface - floor)
+
+
+def _ends(even: Array, grid: SlabGrid) -> Array:
+    """Return the flux out through face and far wall, times exp(sigma_t x), (2,)."""
+    along = np.cos(grid.theta_rad) * grid.weight * (2.0 * np.pi / grid.n_phi)
+    mean = even[:, :, 0].sum(axis=0)
+    return np.array([-np.minimum(along, 0.0) @ mean[:, 0], np.maximum(along, 0.0) @ mean[:, -1]])
 
 
 def _refuse(medium: Medium, slab: Slab, grid: SlabGrid, n_bounces: int) -> None:

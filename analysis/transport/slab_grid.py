@@ -234,6 +234,6 @@ def camera_weights(height_mm: float, sigma_t_per_mm: float, n_z: int) -> Array:
     The mean of P_l over the height, weighed by exp(-sigma_t (h - z)).
     """
     node, weight = np.polynomial.legendre.leggauss(n_z + 16)
-    left = weight * np.exp(-0.5 * sigma_t_per_mm * height_mm * (1.0 - node))
+    left = weight * np.exp(-0.5 * sigma_t_per_mm * height_mm * (node[-1] - node))
     values = np.polynomial.legendre.legvander(node, n_z - 1)
     return np.asarray(left @ values / left.sum())
