@@ -33,6 +33,7 @@ FINE, FINER = 1.2, 0.5  # of what corrects a table: at g = 0, and how much more 
 COARSE_TAIL = 1e-3
 WALLS = 0.8  # fineness of what height and index change
 CORRECTIONS = 8
+CONVINCING = 2.0  # chi^2 per degree of freedom below which no other start is tried
 SETTLED = 0.1  # of a standard deviation or of half a percent, if that is more
 MOST_SEEN = 7.0  # mean free paths beyond the last bin that are still solved for
 ALBEDO = (1e-3, 1.0)
@@ -254,18 +255,11 @@ def _minimise(
     def residual(p: Array) -> Array:
         return problem.pulls(problem.scaled(problem.profiles(orders(p[0], p[2]), p[0], p[1]))[1])
 
-    starts = (
-        [at]
-        if at is not None
-        else [
-            np.array(
-                [low + 0.2 * (high - low), 0.7, table.g[0] + share * (table.g[1] - table.g[0])]
-            )
-            for share in (0.3, 0.8)
-        ]
-    )
-    tried = [
-        least_squares(
+    span = table.g[1] - table.g[0]
+    starts = [np.array([low + 0.2 * (high - low), 0.7, table.g[0] + s * span]) for s in (0.8, 0.3)]
+    tried: list[tuple[float, Array, bool]] = []
+    for start in starts if at is None else [at]:
+        found = least_squares(
             residual,
             np.clip(start, bounds[0] + 1e-6, bounds[1] - 1e-6),
             bounds=bounds,
@@ -273,10 +267,12 @@ def _minimise(
             xtol=1e-8,
             ftol=1e-8,
         )
-        for start in starts
-    ]
-    best = min(tried, key=lambda found: float(found.cost))
-    return np.asarray(best.x), not np.any(best.active_mask)
+        inside = not np.any(found.active_mask)
+        tried.append((2.0 * float(found.cost), np.asarray(found.x), inside))
+        if tried[-1][0] < CONVINCING * problem.degrees_of_freedom:
+            break
+    _, best, inside = min(tried, key=lambda one: one[0])
+    return best, inside
 
 
 def _corrected(table: SlabTable, at: Array) -> Orders:
