@@ -342,27 +342,19 @@ def fit_stripe_aware(
 
 
 def stripe_answer(
-    medium: Medium, observed: Observed, wavenumber_per_mm: float, x_mm: Array
+    medium: Medium, wavenumber_per_mm: float, x_mm: Array, *, depth_mm: float, slope: float
 ) -> Array:
     """Return the size of stripes of all bounces against depth, one where they enter, (n_x,)."""
+    q = abs(wavenumber_per_mm)
     light = plane_light(
         medium,
         x_mm,
-        depth_mm=observed.depth_mm,
-        wavenumber_per_mm=abs(wavenumber_per_mm),
-        angle_deg=math.degrees(math.atan(observed.slope)),
-        n_theta=_directions(medium.g, abs(wavenumber_per_mm), float(x_mm.max())),
+        depth_mm=depth_mm,
+        wavenumber_per_mm=q,
+        angle_deg=math.degrees(math.atan(slope)),
+        n_theta=_directions(medium.g, q, float(x_mm.max())),
     )
     return np.abs(light)
-
-
-def single_share(
-    medium: Medium, observed: Observed, wavenumber_per_mm: float, x_mm: Array
-) -> Array:
-    """Return which part of the stripes' amplitude was scattered once only, (n_x,)."""
-    path_mm = x_mm * math.hypot(1.0, observed.slope)
-    ballistic = np.exp(-medium.sigma_t_per_mm * path_mm)
-    return np.asarray(ballistic / stripe_answer(medium, observed, wavenumber_per_mm, x_mm))
 
 
 def profile_likelihood(

@@ -25,7 +25,6 @@ from analysis.stripe_aware import (
     SideWalls,
     StripeAware,
     fit_stripe_aware,
-    single_share,
     stripe_answer,
 )
 from analysis.transport.side_walls import side_wall_loss
@@ -85,9 +84,12 @@ def fit_joint(pictures: Pictures, setup: Setup, config: Analysis, decay: Decay) 
         )
         return Joint(observed=None, fit=None, other_phase=None, share=None, notes=(note,))
     share = np.full(fit.stripe_fit.shape, np.nan)
+    slope, sigma_t = observed.slope, fit.medium.sigma_t_per_mm
     for row, model, stripe in zip(share, fit.stripe_fit, observed.stripes, strict=True):
         use = np.isfinite(model)
-        row[use] = single_share(fit.medium, observed, stripe.wavenumber_per_mm, observed.x_mm[use])
+        x_mm, q = observed.x_mm[use], stripe.wavenumber_per_mm
+        every = stripe_answer(fit.medium, q, x_mm, depth_mm=observed.depth_mm, slope=slope)
+        row[use] = np.exp(-sigma_t * x_mm * math.hypot(1.0, slope)) / every
     return Joint(
         observed=observed,
         fit=fit,
@@ -133,14 +135,16 @@ class Seen:
                 self.bins,
                 duty=series.duty,
                 near_mm=self.near_mm,
-                answer=None
-                if medium is None
-                else lambda q, x: stripe_answer(medium, self.observed, q, x),
+                answer=None if medium is None else lambda q, x: self._answer(medium, q, x),
             )
             of_white = series.high - series.low
             c1 = None if found.contrast is None else found.contrast * of_white
             stripes.append(replace(found, contrast=c1))
         return replace(self.observed, stripes=tuple(stripes))
+
+    def _answer(self, medium: Medium, wavenumber_per_mm: float, x_mm: Array) -> Array:
+        o = self.observed
+        return stripe_answer(medium, wavenumber_per_mm, x_mm, depth_mm=o.depth_mm, slope=o.slope)
 
 
 def observe(pictures: Pictures, setup: Setup, sigma_t_per_mm: float, tank: Tank) -> Seen:
