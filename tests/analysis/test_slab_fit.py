@@ -20,7 +20,8 @@ TRUTH = np.array([0.2051, 0.10255, 0.4])
 
 @pytest.fixture(scope="module")
 def light() -> SlabProfiles:
-    """A slab's light by the 3-D Monte Carlo, with its own noise."""
+    """A slab's light by the 3-D Monte Carlo, with its own noise and that of a camera."""
+    rng = np.random.default_rng(8)
     m = Medium(sigma_t_per_mm=TRUTH[0], sigma_s_per_mm=TRUTH[1], g=TRUTH[2])
     seen = simulate_slab(
         m,
@@ -37,14 +38,17 @@ def light() -> SlabProfiles:
     single = np.exp(-TRUTH[0] * seen.x_mm) * math.sinh(half) / half
     noise = (seen.modulated_std_error[0, :, 0] ** 2).sum(axis=0)
     white = single + seen.light[:, 0].sum(axis=0)
+    camera = 9e-6 * white
+    striped = single + seen.modulated[0, :, 0].real.sum(axis=0)
+    striped = 3.0 * striped + rng.normal(size=white.size) * np.sqrt(camera)
     return SlabProfiles(
         depth_mm=seen.x_mm,
         bin_mm=0.5,
         wavenumbers_per_mm=np.array([STRIPES]),
-        harmonics=3.0 * (single + seen.modulated[0, :, 0].sum(axis=0))[None],
-        variance=(9.0 * noise + 9e-6 * white)[None],
-        white=3.0 * white,
-        white_variance=9.0 * (seen.std_error[:, 0] ** 2).sum(axis=0) + 9e-6 * white,
+        harmonics=striped[None],
+        variance=(9.0 * noise + camera)[None],
+        white=3.0 * white + rng.normal(size=white.size) * np.sqrt(camera),
+        white_variance=9.0 * (seen.std_error[:, 0] ** 2).sum(axis=0) + camera,
     )
 
 
@@ -65,7 +69,7 @@ def test_a_medium_is_found_again_without_a_table(light):
     found = fit_slab(light, SLAB, unknown_walls=True)
     std = np.sqrt(np.diag(found.covariance))
     values = np.array([found.sigma_t_per_mm, found.sigma_s_per_mm, found.g])
-    # measured pulls 0.2, 0.6, 0.5
+    # measured pulls -0.9, 0.7, -0.5
     assert np.abs((values - TRUTH) / std).max() < 3.0
     assert std[0] < 0.005 * TRUTH[0]
     assert not found.at_limit
@@ -88,7 +92,7 @@ def test_a_table_gives_the_same_answer(light, table):
             direct.g - looked_up.g,
         ]
     )
-    # measured worst 0.3 standard deviations
+    # measured worst 0.4 standard deviations
     assert np.abs(off / std).max() < 1.0
 
 
@@ -105,12 +109,12 @@ def test_a_table_is_kept_with_its_error(table, tmp_path):
 
 
 def test_pulls_are_those_of_the_noise(light, table):
-    """Thirty realisations about one model: their spread is the one that is stated."""
+    """Realisations of noise about one model: their spread is the one that is stated."""
     at_truth = fit_slab(light, SLAB, table=table)
     rng = np.random.default_rng(7)
     variance = np.array([light.variance[0], light.white_variance])
     found = []
-    for _ in range(30):
+    for _ in range(120):
         noisy = at_truth.model + rng.normal(size=variance.shape) * np.sqrt(variance)
         one = fit_slab(
             SlabProfiles(
@@ -134,9 +138,9 @@ def test_pulls_are_those_of_the_noise(light, table):
             ]
         )
     rms = np.sqrt(np.mean(np.square(found), axis=0))
-    # thirty draws know a spread to 13 %
-    assert (rms > 0.7).all()
-    assert (rms < 1.35).all()
+    # measured 1.03, 1.06, 1.04; 120 draws know a spread to 6.5 %, thirty only to 13 %
+    assert (rms > 0.8).all()
+    assert (rms < 1.25).all()
 
 
 def test_orders_beyond_the_last_go_on_with_their_ratio():
