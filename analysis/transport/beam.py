@@ -55,8 +55,7 @@ def second_bounce(
     """
     places = places_of(grid, lines_of_x=lines_of_x)
     out = np.zeros((theta_rad.size, places[0].size, places[1].size))
-    for n, theta in enumerate(theta_rad):
-        beam_integral(places, float(theta), beam, grid.tank, sigma_t_per_mm, out[n])
+    beam_integrals(places, theta_rad, beam, grid.tank, sigma_t_per_mm, out)
     out *= weight[:, None, None]
     return out
 
@@ -72,20 +71,21 @@ def places_of(grid: Grid, *, lines_of_x: bool = False) -> tuple[Array, Array, Ar
     return np.zeros(grid.n_y), x, y, np.zeros(grid.n_x)
 
 
-def beam_integral(
+def beam_integrals(
     places: tuple[Array, Array, Array, Array],
-    theta_rad: float,
+    theta_rad: Array,
     beam: Beam,
     tank: Tank,
     sigma_t_per_mm: float,
     out: Array,
 ) -> None:
-    """Add the integral of exp(-sigma_t s) L_1 backwards along rays of one direction to ``out``.
+    """Add the integral of exp(-sigma_t s) L_1 backwards along rays to ``out``.
 
     Parameters
     ----------
     places : see `places_of`
-    out : (n_lines, n_nodes), mm
+    theta_rad : (n,), directions
+    out : (n, n_lines, n_nodes), mm
 
     Notes
     -----
@@ -93,16 +93,14 @@ def beam_integral(
     function. It is counted from the brighter end, with base + rate s and tau = abs(rate) length
     there: the other end may underflow where the beam is grazing.
     """
-    heights, irradiance = beam.profile_points()
     slant_rad = math.radians(beam.angle_deg)
     slant = (math.cos(slant_rad), math.tan(slant_rad))
-    _add_strips(
-        *places,
-        describe_ray(math.cos(theta_rad), math.sin(theta_rad), slant, sigma_t_per_mm),
-        (tank.depth_mm, tank.width_mm),
-        np.column_stack([heights, irradiance]),
-        out,
-    )
+    profile = np.stack(beam.profile_points(), axis=1)
+    walls = (tank.depth_mm, tank.width_mm)
+    directions = zip(np.cos(theta_rad).tolist(), np.sin(theta_rad).tolist(), out, strict=True)
+    for cos_t, sin_t, one in directions:
+        ray = describe_ray(cos_t, sin_t, slant, sigma_t_per_mm)
+        _add_strips(*places, ray, walls, profile, one)
 
 
 @njit(cache=True, nogil=True)
@@ -138,17 +136,15 @@ def _add_strips(
     profile: Array,
     out: Array,
 ) -> None:
-    """Add the integral over every linear piece of the profile (n, 2) to ``out``."""
+    """Add the integral of one direction over every linear piece of the profile (n, 2) to ``out``."""
     for k in range(profile.shape[0] - 1):
         strip = (profile[k, 0], profile[k + 1, 0], profile[k, 1], profile[k + 1, 1])
         for p in range(np.uint64(out.shape[0])):
             for q in range(np.uint64(out.shape[1])):
                 x, y = x_line[p] + x_node[q], y_line[p] + y_node[q]
                 dimming, tau, bright, dark = cut_ray(x, y, ray, tank, strip)
-                left, e1 = (
-                    fading(tau),
-                    0.5 - tau * (1 / 3 - tau * (1 / 8 - tau * (1 / 30 - tau / 144))),
-                )
+                left = fading(tau)
+                e1 = 0.5 - tau * (1 / 3 - tau * (1 / 8 - tau * (1 / 30 - tau / 144)))
                 # The closed forms lose their digits where tau is small; the series does not.
                 e0 = 1.0 - tau * (1 / 2 - tau * (1 / 6 - tau * (1 / 24 - tau / 120)))
                 thick = tau if tau > THIN else 1.0

@@ -37,14 +37,14 @@ from analysis.transport.second import second_to
 MAX_ATTEMPTS = 8
 PILOT = 8.0  # times the tolerance, whose grid is tried first and tells more than a guess
 COARSEST = 1e-2  # tolerance from which on a pilot is no cheaper
-AIMS = (0.65, 0.35)  # of the tolerance that cells and directions of the next grid are made for
+AIMS = (0.75, 0.4)  # of the tolerance that cells and directions of the next grid are made for
 LEAST = 1.1  # times that the part with the larger error grows
 MOST = 8.0
-CELL_RATE = 2.4
+CELL_RATE = 2.8
 WORTH = 2.5  # times smaller than what it is measured by is the error of extrapolated orders
 SURE = 0.6  # of the tolerance that an error found on some nodes may take
 SECOND_RATE = 1.6  # power of the number of directions that the second order's error falls with
-LEAST_PROBES = 300  # nodes that tell the second order's error
+LEAST_PROBES = 120  # nodes that tell the second order's error
 MOST_CORRECTED = 0.5  # of an order; more is not believed
 SINGLE_TOLERANCE = 1e-5  # single precision costs 1e-6 of the brightest
 SINGLE_DEPTHS = (0.01, 60.0)  # optical; it has no numbers for orders and depths below exp(-87)
@@ -190,7 +190,7 @@ def _mend_second(field: BounceField, grid: Grid, tolerance: float) -> float:
     keeps the jumps at the walls between two of them. Else all nodes are summed between kinks.
     """
     medium, beam, n_theta = field.medium, field.beam, grid.n_theta
-    every = next((n for n in (4, 2) if grid.n_x * grid.n_y > n**2 * LEAST_PROBES), 1)
+    every = next((n for n in (5, 3) if grid.n_x * grid.n_y > n**2 * LEAST_PROBES), 1)
     few = (grid.x_mm[::every], grid.y_mm[::every])
     exact, doubt = second_to(medium, beam, grid, *few, 0.1 * tolerance)
     exact *= medium.sigma_s_per_mm
