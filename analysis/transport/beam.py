@@ -136,7 +136,7 @@ def _add_strips(
     profile: Array,
     out: Array,
 ) -> None:
-    """Add the integral of one direction over every linear piece of the profile (n, 2) to ``out``."""
+    """Add one direction's integral over every linear piece of the profile (n, 2) to ``out``."""
     for k in range(profile.shape[0] - 1):
         strip = (profile[k, 0], profile[k + 1, 0], profile[k, 1], profile[k + 1, 1])
         for p in range(np.uint64(out.shape[0])):

@@ -32,7 +32,7 @@ CELL_BEAM_WIDTHS = 0.16
 THINNEST = 0.15  # of what is usual: thinner beams and layers are left to the measured error
 ANGLES = 34.0
 ANGLE_POWER = 0.25  # of the tolerance, that the number of directions grows with
-DETOUR = 1.25  # times the cells that are spent to have the beam's edges on nodes
+DETOUR = (0.9, 1.45)  # times the cells that are taken to have the beam's edges on nodes
 ON_NODE = 0.02  # cells of the coarsest companion by which an edge may miss a node
 
 
@@ -159,9 +159,9 @@ def _cells(n: float) -> int:
 
 
 def _cells_between(n: float, edges: tuple[float, ...]) -> int:
-    """Return at least n cells, with the edges on nodes if a few more do that."""
+    """Return n cells or more, or somewhat fewer if that takes the edges to nodes."""
     least = _cells(n)
-    for cells in range(least, int(least * DETOUR) + 5, 4):
+    for cells in range(_cells(DETOUR[0] * n), int(DETOUR[1] * least) + 5, 4):
         miss = [abs(cells / 4 * edge - round(cells / 4 * edge)) for edge in edges]
         if max(miss, default=0.0) <= ON_NODE:
             return cells

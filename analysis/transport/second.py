@@ -21,7 +21,8 @@ from analysis.transport.choose import relative_error
 from analysis.transport.sweep import exponential_moments
 
 POINTS = (4, 6, 8, 11, 16, 24, 36, 54, 80)  # between two kinks
-PROBED = 4  # every fourth place tells the error
+DOUBT = 2.0  # times the error of these is that of all, at most
+PROBED = 3  # every third place tells the error
 PEAK = (1.0, 5.0)  # the sums are also cut so many widths 1 - |g| beside the phase function's
 PEAKED = 0.5  # peak, from this |g| on
 
@@ -39,7 +40,7 @@ def second_to(
     for n_points, more in itertools.pairwise(POINTS):
         few = n_points
         fine = second_at(medium, beam, grid, *probes, more)
-        error = relative_error(coarse, fine)
+        error = DOUBT * relative_error(coarse, fine)
         if error <= tolerance:
             break
         coarse = fine
