@@ -193,7 +193,7 @@ def refuse_too_long(predicted_s: float, limit_s: float, what: str) -> None:
     """Raise an error with the figures if more time is predicted than is allowed."""
     if predicted_s > limit_s:
         msg = (
-            f"{what}: some {predicted_s:.0f} CPU s are predicted and {limit_s:g} s allowed; ask "
+            f"{what}: some {predicted_s:.3g} CPU s are predicted and {limit_s:g} s allowed; ask "
             "for a looser tolerance or fewer orders, or allow more by --limit-s."
         )
         raise AnalysisError(msg)
