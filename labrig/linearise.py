@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,9 +49,9 @@ def linearise(
     camera = known.camera
     by_picture: dict[str, list[Shot]] = defaultdict(list)
     for shot in shots_of(session):
-        by_picture[shot.role if shot.shift is None else f"{shot.role}-{shot.shift}"].append(shot)
+        by_picture[_picture_of(shot)].append(shot)
     darks = _dark_levels(session, by_picture.pop("dark", []), camera)
-    shift_names(session)
+    series_of(session)
     _refuse_mixed_patterns(session, by_picture)
 
     def offset(exposure_s: float) -> Offset:
@@ -137,32 +137,68 @@ def shots_of(session: Session) -> list[Shot]:
     return [parse(r, Shot, source=f"{source}: shot {r['id']!r}") for r in session.shots]
 
 
-def shift_names(session: Session) -> list[str]:
-    """Return the names of the stripe pictures, in order of their shift.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShiftSeries:
+    """The pictures of one series of stripes, in order of their shift; lengths in projector px."""
+
+    names: tuple[str, ...]
+    period_px: float | None = None
+    low: float = 0.0
+    high: float = 1.0
+
+
+def series_of(session: Session) -> tuple[ShiftSeries, ...]:
+    """Return every series of stripes, the one to be separated (the finest) first.
 
     Raises
     ------
     AnalysisRefusedError
-        If shifts of a period are missing, or there are none or several series.
+        If shifts of a period are missing, or there are no stripes.
     """
-    stripes = [shot for shot in shots_of(session) if shot.role == "stripes"]
-    series = {shot.shifts for shot in stripes if shot.shifts is not None}
-    if not stripes:
+    found: dict[str, list[Shot]] = defaultdict(list)
+    for shot in shots_of(session):
+        if shot.role == "stripes":
+            found[shot.set].append(shot)
+    if not found:
         msg = f"session {session.path.name} holds no stripe pictures; nothing can be separated."
         raise AnalysisRefusedError(msg)
-    if len(series) != 1:
+    sets = {s["id"]: s["pattern"] for s in (session.header.get("plan") or {}).get("sets", ())}
+    every = []
+    for name, shots in found.items():
+        pattern = sets.get(name, {})
+        every.append(
+            ShiftSeries(
+                names=_whole_period(session, shots),
+                period_px=pattern.get("period_px"),
+                low=pattern.get("low", 0) / 255.0,
+                high=pattern.get("high", 255) / 255.0,
+            )
+        )
+    return tuple(sorted(every, key=lambda one: one.period_px or 0.0))
+
+
+def _picture_of(shot: Shot) -> str:
+    """Return the name of the picture that a shot is an exposure of."""
+    if shot.shift is None:
+        return shot.role
+    return f"{shot.role}-{shot.shift}" if shot.set == shot.role else f"{shot.set}-{shot.shift}"
+
+
+def _whole_period(session: Session, shots: list[Shot]) -> tuple[str, ...]:
+    counts = {shot.shifts for shot in shots if shot.shifts is not None}
+    if len(counts) != 1:
         msg = (
-            f"session {session.path.name} holds {len(series)} series of stripes; one whose shifts "
-            "cover a period is needed to separate."
+            f"session {session.path.name} holds stripes of {len(counts)} numbers of shifts in one "
+            "series; one whose shifts cover a period is needed to separate."
         )
         raise AnalysisRefusedError(msg)
-    n = series.pop()
-    have = {shot.shift for shot in stripes}
-    absent = sorted(set(range(n)) - have)
+    n = counts.pop()
+    by_shift = {shot.shift: _picture_of(shot) for shot in shots}
+    absent = sorted(set(range(n)) - set(by_shift))
     if absent:
         msg = (
-            f"shift {absent[0]} of {n} is missing ({len(have)} are there): a separation needs all "
-            "shifts of a period."
+            f"shift {absent[0]} of {n} is missing ({len(by_shift)} are there): a separation needs "
+            "all shifts of a period."
         )
         raise AnalysisRefusedError(msg)
-    return [f"stripes-{k}" for k in range(n)]
+    return tuple(by_shift[k] for k in range(n))

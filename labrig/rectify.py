@@ -13,7 +13,7 @@ from calibration.geometry import Lens, Plane, Resampling, resampling
 from calibration.hdr import Radiance
 from labrig.corrections import Corrections
 from labrig.errors import AnalysisRefusedError
-from labrig.linearise import shift_names, shots_of
+from labrig.linearise import ShiftSeries, series_of, shots_of
 from labrig.models.setup import Setup, StripesConfig
 from labrig.picture_notes import notes_of
 from labrig.session import Session
@@ -114,7 +114,8 @@ def rectify(
     AnalysisRefusedError
         If a shift of the stripes is missing, or lengths are given in mm but no scale.
     """
-    shifts = shift_names(session)
+    main, *others = series_of(session)
+    shifts = main.names
     shape = _common_shape(radiances, session)
     known = known or Corrections(camera=setup.camera.record())
     notes = notes_of(session, shots_of(session), setup, frozenset(radiances), known)
@@ -143,7 +144,18 @@ def rectify(
         contrast=None
         if known.projected is None or known.projected.contrast is None
         else known.projected.contrast.at,
+        more=tuple(_series(turned, one) for one in others),
         **_without_black(turned, shifts),
+    )
+
+
+def _series(turned: Mapping[str, Radiance], shifts: ShiftSeries) -> Series:
+    """Return stripes of another period, black subtracted."""
+    return Series(
+        net=_without_black(turned, shifts.names)["stripes"],
+        variance=np.stack([turned[name].variance for name in shifts.names]),
+        low=shifts.low,
+        high=shifts.high,
     )
 
 
