@@ -12,16 +12,15 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from analysis import separation_kernels as kernels
 from analysis.errors import AnalysisError
 
 Array = NDArray[np.float64]
 Stack = NDArray[np.floating[Any]]
 Method = Literal["extrema", "known-pattern", "harmonic"]
 
-DETECTION_SNR = 2.0  # below it direct light is "not detected"
 MIN_PHASES = 4  # of an unknown phase; fewer alias the second harmonic onto the first
 MIN_SPREAD = 2.5e-4  # mean square of a known pattern about its mean, below which it tells nothing
 
@@ -75,7 +74,7 @@ def separate_extrema(
         msg = f"a leak of {float(np.nanmax(leak)):g} of white: black must be darker than white."
         raise AnalysisError(msg)
     found = _empty("extrema", net.shape[1:])
-    _extrema(net, variance, duty, *_parts(found))
+    kernels.extrema(net, variance, duty, *_parts(found))
     if np.any(leak):
         floor = np.asarray(leak) + (1.0 - np.asarray(leak)) * duty
         brightest = found.single + found.multiple * duty
@@ -116,7 +115,7 @@ def separate_known(net: Stack, variance: Stack, pattern: Stack, duty: float = 0.
         msg = f"a pattern of shape {pattern.shape} for pictures of {net.shape}: one each is needed."
         raise AnalysisError(msg)
     found = _empty("known-pattern", net.shape[1:])
-    told = _known(net, variance, pattern, duty, MIN_SPREAD * net.shape[0], *_parts(found))
+    told = kernels.known(net, variance, pattern, duty, MIN_SPREAD * net.shape[0], *_parts(found))
     if not told:
         msg = "the known pattern does not change from picture to picture; is its phase right?"
         raise AnalysisError(msg)
@@ -154,7 +153,7 @@ def separate_harmonic(
     found = _empty("harmonic", net.shape[1:])
     turn = 2.0 * np.pi * np.arange(n) / n
     wave = np.stack([np.cos(turn), -np.sin(turn)]) * (2.0 / n)
-    _harmonic(net, variance, wave, 1.0 / c1, duty, *_parts(found))
+    kernels.harmonic(net, variance, wave, 1.0 / c1, duty, *_parts(found))
     return found
 
 
@@ -239,146 +238,3 @@ def _refuse_stack(net: Stack, variance: Stack) -> None:
             f"a stack (n_shifts >= 2, rows, cols) of both is needed."
         )
         raise AnalysisError(msg)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _extrema(  # noqa: PLR0913, PLR0917 - a compiled kernel takes its arrays one by one
-    net: Stack,
-    variance: Stack,
-    duty: float,
-    single: Array,
-    multiple: Array,
-    single_variance: Array,
-    multiple_variance: Array,
-    detected: NDArray[np.uint8],
-    chi2: Array,
-) -> None:
-    """Fill the pictures (rows, cols) by the extremes of net (n, rows, cols)."""
-    n, rows, cols = net.shape
-    for y in range(rows):
-        for x in range(cols):
-            high = low = total = net[0, y, x]
-            for k in range(1, n):
-                value = net[k, y, x]
-                total += value
-                high = max(high, value)
-                low = min(low, value)
-            of_high = of_low = variance[0, y, x]
-            for k in range(1, n):
-                of_high = variance[k, y, x] if net[k, y, x] == high else of_high
-                of_low = variance[k, y, x] if net[k, y, x] == low else of_low
-            lost = 0.0 * total  # NaN where a shift was saturated
-            single[y, x] = high - low + lost
-            multiple[y, x] = low / duty + lost
-            single_variance[y, x] = of_high + of_low + lost
-            multiple_variance[y, x] = of_low / duty**2 + lost
-            chi2[y, x] = np.nan
-            detected[y, x] = _seen(single[y, x], single_variance[y, x])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _known(  # noqa: PLR0913, PLR0917
-    net: Stack,
-    variance: Stack,
-    pattern: Stack,
-    duty: float,
-    least: float,
-    single: Array,
-    multiple: Array,
-    single_variance: Array,
-    multiple_variance: Array,
-    detected: NDArray[np.uint8],
-    chi2: Array,
-) -> bool:
-    """Fill the pictures by least squares; True if the pattern tells anything anywhere.
-
-    ``pattern`` is (n, rows, 1 or cols); pixels whose pattern changes by less than ``least`` have
-    no answer.
-    """
-    n, rows, cols = net.shape
-    step = 1 if pattern.shape[2] > 1 else 0
-    told = False
-    for y in range(rows):
-        for x in range(cols):
-            p1 = p2 = y1 = y2 = py = v1 = pv = ppv = 0.0
-            for k in range(n):
-                p, value = np.float64(pattern[k, y, x * step]), np.float64(net[k, y, x])
-                v = np.float64(variance[k, y, x])
-                p1 += p
-                p2 += p * p
-                y1 += value
-                y2 += value * value
-                py += p * value
-                v1 += v
-                pv += p * v
-                ppv += p * p * v
-            p, mean = p1 / n, y1 / n
-            spread = p2 - n * p * p
-            told |= spread > least
-            spread = spread if spread > least else np.nan
-            cross = py - n * p * mean
-            direct = cross / spread
-            lost = 0.0 * direct  # NaN where a shift was saturated
-            # sums over shifts of (p - mean p) V and (p - mean p)^2 V
-            tilted = pv - p * v1
-            of_direct = (ppv - 2.0 * p * pv + p * p * v1) / spread**2 + lost
-            of_rest = v1 / n**2 - 2.0 * p / n * tilted / spread + p * p * of_direct
-            single[y, x] = direct
-            multiple[y, x] = (mean - p * direct) / duty
-            single_variance[y, x] = of_direct
-            multiple_variance[y, x] = of_rest / duty**2
-            detected[y, x] = _seen(direct, of_direct)
-            left = y2 - n * mean * mean - direct * cross
-            chi2[y, x] = left / (v1 / n) / (n - 2) if n > 2 else np.nan
-    return told
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _harmonic(  # noqa: PLR0913, PLR0917
-    net: Stack,
-    variance: Stack,
-    wave: Array,
-    per_contrast: Array,
-    duty: float,
-    single: Array,
-    multiple: Array,
-    single_variance: Array,
-    multiple_variance: Array,
-    detected: NDArray[np.uint8],
-    chi2: Array,
-) -> None:
-    """Fill the pictures by the first harmonic; ``wave`` is (2, n), cosine and sine times 2/N."""
-    n, rows, cols = net.shape
-    lines = np.empty((5, cols))
-    for y in range(rows):
-        lines[:] = 0.0
-        real, imaginary, y1, y2, v1 = lines
-        for k in range(n):
-            for x in range(cols):
-                value = np.float64(net[k, y, x])
-                real[x] += wave[0, k] * value
-                imaginary[x] += wave[1, k] * value
-                y1[x] += value
-                y2[x] += value * value
-                v1[x] += variance[k, y, x]
-        for x in range(cols):
-            mean, noise = y1[x] / n, v1[x] / n
-            power = real[x] ** 2 + imaginary[x] ** 2
-            left = y2[x] - n * mean * mean - 0.5 * n * power
-            debiased = power - (4.0 / n * noise if noise >= 0.0 else 0.0)
-            direct = np.sqrt(debiased if debiased > 0.0 else 0.0 * mean) * per_contrast[x]
-            of_direct = 2.0 / n * noise * per_contrast[x] ** 2 + 0.0 * mean
-            single[y, x] = direct
-            multiple[y, x] = mean / duty - direct
-            single_variance[y, x] = of_direct
-            multiple_variance[y, x] = noise / n / duty**2 + of_direct
-            detected[y, x] = _seen(direct, of_direct)
-            chi2[y, x] = left / noise / (n - 3)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _seen(direct: float, variance: float) -> bool:
-    """Return whether direct light exceeds its noise; if that is unknown, whether there is any."""
-    if np.isnan(variance):
-        return bool(np.isfinite(direct))
-    return bool(direct > DETECTION_SNR * np.sqrt(variance))

@@ -147,16 +147,7 @@ def fit_photon_transfer(lights: Sequence[Level], darks: Sequence[Level]) -> Phot
     saturated = bool((~whole).any())
     top = _saturation(mean, variance, whole)
     fitted = whole & (mean <= FITTED_SHARE * top)
-    if fitted.sum() < 3:
-        msg = (
-            f"{int(fitted.sum())} exposures without clipping below {100 * FITTED_SHARE:.0f} % of "
-            "saturation, 3 are needed; take shorter ones."
-        )
-        raise CalibrationError(msg)
-    gain, gain_std = _slope(mean[fitted], variance[fitted])
-    if not gain > 0.0:
-        msg = "variance does not grow with the light: these are no frames of one camera setting."
-        raise CalibrationError(msg)
+    gain, gain_std = _gain(mean[fitted], variance[fitted])
     rate, offset_s, offset_std = _line(t[fitted], mean[fitted])
     deviation = mean / (rate * (t + offset_s)) - 1.0
     low, high = float(deviation[fitted].min()), float(deviation[fitted].max())
@@ -220,6 +211,21 @@ def _refuse_dark(t: Array, mean: Array) -> None:
 def _saturation(mean: Array, variance: Array, whole: NDArray[np.bool_]) -> float:
     """Return the mean at the largest variance, where EMVA 1288 puts saturation."""
     return float(mean[int(np.argmax(np.where(whole, variance, -np.inf)))])
+
+
+def _gain(mean: Array, variance: Array) -> tuple[float, float]:
+    """Return K of the fitted levels with its std."""
+    if mean.size < 3:
+        msg = (
+            f"{mean.size} exposures without clipping below {100 * FITTED_SHARE:.0f} % of "
+            "saturation, 3 are needed; take shorter ones."
+        )
+        raise CalibrationError(msg)
+    gain, gain_std = _slope(mean, variance)
+    if not gain > 0.0:
+        msg = "variance does not grow with the light: these are no frames of one camera setting."
+        raise CalibrationError(msg)
+    return gain, gain_std
 
 
 def _slope(mean: Array, variance: Array) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
+from scipy.optimize import minimize_scalar, nnls
 
 from calibration.errors import CalibrationError
 
@@ -201,6 +201,44 @@ def fit_response(ramp: Ramp, *, smooth: float = SMOOTH) -> Response:
     solution, _ = nnls(factor.T, wanted, maxiter=30 * n)
     log_f = rises @ solution
     return table_response("fitted", (2**ramp.bits - 1) * np.exp(log_f - log_f[-1]))
+
+
+def power_of_pairs(
+    pairs: Sequence[tuple[Array, Array]], white: Array, black: Array, bits: int
+) -> Response:
+    """Fit the power response under which a pattern and its inverse add to white and black.
+
+    Light adds, counts need not: ``counts = light^p`` is sought with the least mean square of
+    ``(P + P_inv)/(W + B) - 1``. For cameras of 8 bits whose ramp was not taken; what the projector
+    itself loses in fine stripes is not told from it, so test it on other pixels.
+
+    Parameters
+    ----------
+    pairs : counts (n_pixels,) of patterns and of their inverses, none saturated
+    white, black : (n_pixels,)
+
+    Raises
+    ------
+    CalibrationError
+        If the camera has more than eight bits, there is no pair, or no power between 0.5 and 2
+        fits.
+    """
+    if bits > MAX_FITTED_BITS or not pairs:
+        msg = f"{len(pairs)} pairs of a camera of {bits} bits: pairs of 8 bits or fewer are needed."
+        raise CalibrationError(msg)
+
+    def off(power: float) -> float:
+        whole = white ** (1.0 / power) + black ** (1.0 / power)
+        gaps = [(a ** (1.0 / power) + b ** (1.0 / power)) / whole - 1.0 for a, b in pairs]
+        return float(np.mean([np.mean(gap) ** 2 for gap in gaps]))
+
+    power = float(minimize_scalar(off, bounds=(0.5, 2.0), method="bounded").x)
+    if not 0.51 < power < 1.99:
+        msg = "a pattern and its inverse add to white under no power of the counts; linear frames?"
+        raise CalibrationError(msg)
+    top = 2**bits - 1
+    table = top * (np.arange(top + 1) / top) ** (1.0 / power)
+    return table_response(f"power {power:.3f}", table)
 
 
 def _normal_equations(ramp: Ramp) -> tuple[Array, Array]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,14 +12,15 @@ from analysis.separation import separate_harmonic
 from calibration.contrast import fit_contrast, fit_transfer, measure_transfer
 from calibration.entry import locate_entry
 from calibration.errors import CalibrationError
-from calibration.geometry import Board, find_board, fit_lens, fit_plane
+from calibration.geometry import Board, Lens, Plane, View, find_board, fit_lens, fit_plane
 from calibration.grey_code import ProjectorMap, decode_grey
 from calibration.projector import black_leak, fit_gamma
 from calibration.record import NamedArray, Quantity, Record, array
 from labrig.calibrating import Source
 from labrig.errors import AnalysisRefusedError
-from labrig.linearise import linearise, rectify
+from labrig.linearise import linearise
 from labrig.models.plan import Shot
+from labrig.rectify import rectify
 
 Array = NDArray[np.float64]
 Found = tuple[dict[str, Quantity], dict[str, NamedArray], list[str]]
@@ -43,55 +45,51 @@ def geometry_record(source: Source, board: Board) -> Record:
     shape = source.read(shots[0]).shape
     lens = fit_lens(views, (shape[0], shape[1]))
     plane = fit_plane(views[0], lens, board.square_mm)
-    f_x, f_y, c_x, c_y = (lens.matrix[i] for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    quantities = {
-        name: Quantity(value=float(value), std=float(std), unit="px")
-        for name, value, std in zip(
-            ("focal_x_px", "focal_y_px", "centre_x_px", "centre_y_px"),
-            (f_x, f_y, c_x, c_y),
-            lens.matrix_std,
-            strict=True,
-        )
+    used, notes = shots, []
+    located: dict[str, Quantity] = {}
+    settings: dict[str, object] = {"views": len(views), "shape": [int(n) for n in shape]}
+    settings["board"] = asdict(board)
+    if source.of("white"):
+        more, located = _entry(source)
+        used = (*shots, *more)
+        settings["lit_side"] = source.setup.geometry.lit_side
+    if len(views) < 8:
+        notes.append(f"The lens rests on {len(views)} views; ten at different angles are better.")
+    return source.record(
+        "geometry",
+        used,
+        {**_view_quantities(lens, plane), **located},
+        _view_arrays(views[0], lens, plane),
+        settings=settings,
+        notes=tuple(notes),
+    )
+
+
+def _view_quantities(lens: Lens, plane: Plane) -> dict[str, Quantity]:
+    names = ("focal_x_px", "focal_y_px", "centre_x_px", "centre_y_px")
+    places = ((0, 0), (1, 1), (0, 2), (1, 2))
+    found = {
+        name: Quantity(value=float(lens.matrix[place]), std=float(std), unit="px")
+        for name, place, std in zip(names, places, lens.matrix_std, strict=True)
     }
-    quantities |= {
+    return found | {
         "reprojection_rms_px": Quantity(value=lens.rms_px, unit="px"),
         "plane_rms_mm": Quantity(value=plane.rms_mm, unit="mm"),
         "mm_per_px": Quantity(value=plane.mm_per_px, unit="mm/px"),
     }
-    undistorted = lens.undistorted(views[0].image_px)
-    arrays = {
-        "matrix": array(("row3", "col3"), lens.matrix, "px", "camera matrix"),
+
+
+def _view_arrays(view: View, lens: Lens, plane: Plane) -> dict[str, NamedArray]:
+    corners, square = ("corner", "xy"), ("row3", "col3")
+    left = plane.to_mm(lens.undistorted(view.image_px)) - view.board_mm
+    return {
+        "matrix": array(square, lens.matrix, "px", "camera matrix"),
         "distortion": array(("term",), lens.distortion, "1", "k1, k2, p1, p2, k3"),
-        "homography": array(("row3", "col3"), plane.homography, "mm", "undistorted px to mm"),
-        "corner_px": array(
-            ("corner", "xy"), views[0].image_px, "px", "corners of the plane's view"
-        ),
-        "corner_mm": array(("corner", "xy"), views[0].board_mm, "mm", "their places on the board"),
-        "residual_mm": array(
-            ("corner", "xy"), plane.to_mm(undistorted) - views[0].board_mm, "mm", "what is left"
-        ),
+        "homography": array(square, plane.homography, "mm", "undistorted px to mm"),
+        "corner_px": array(corners, view.image_px, "px", "corners of the plane's view"),
+        "corner_mm": array(corners, view.board_mm, "mm", "their places on the board"),
+        "residual_mm": array(corners, left, "mm", "what is left"),
     }
-    used, notes = shots, []
-    if source.of("white"):
-        used, located = _entry(source)
-        quantities |= located
-        used = (*shots, *used)
-    if len(views) < 8:
-        notes.append(f"The lens rests on {len(views)} views; ten at different angles are better.")
-    settings = {
-        "views": len(views),
-        "shape": [int(n) for n in shape],
-        "board": {
-            "squares_x": board.squares_x,
-            "squares_y": board.squares_y,
-            "square_mm": board.square_mm,
-            "marker_mm": board.marker_mm,
-            "dictionary": board.dictionary,
-        },
-    }
-    return source.record(
-        "geometry", used, quantities, arrays, settings=settings, notes=tuple(notes)
-    )
 
 
 def _entry(source: Source) -> tuple[tuple[Shot, ...], dict[str, Quantity]]:
@@ -168,28 +166,7 @@ def _grey(source: Source) -> Found:
         bits = sorted({shot.bit for shot in shots if shot.axis == axis and shot.bit is not None})
         if not bits:
             continue
-        plain, inverse = (
-            [_mean(source, "grey-code", axis=axis, bit=b, polarity=p) for b in reversed(bits)]
-            for p in ("plain", "inverse")
-        )
-        absent = next(
-            (
-                b
-                for b, one, two in zip(reversed(bits), plain, inverse, strict=True)
-                if one is None or two is None
-            ),
-            None,
-        )
-        if absent is not None:
-            msg = (
-                f"bit {absent} of the Grey code along {axis} lacks plain or inverse; capture both."
-            )
-            raise AnalysisRefusedError(msg)
-        pairs = {
-            b: (one, two)
-            for b, one, two in zip(reversed(bits), plain, inverse, strict=True)
-            if one is not None and two is not None
-        }
+        pairs = _pairs(source, axis, bits)
         found = decode_grey(
             [one for one, _ in pairs.values()],
             [two for _, two in pairs.values()],
@@ -205,6 +182,26 @@ def _grey(source: Source) -> Found:
         arrays |= more[1]
         notes += more[2]
     return quantities, arrays, notes
+
+
+def _pairs(source: Source, axis: str, bits: list[int]) -> dict[int, tuple[Array, Array]]:
+    """Return plain and inverse picture of every bit of a Grey code, coarsest first.
+
+    Raises
+    ------
+    AnalysisRefusedError
+        If one is not there.
+    """
+    found = {}
+    for bit in reversed(bits):
+        plain, inverse = (
+            _mean(source, "grey-code", axis=axis, bit=bit, polarity=p) for p in ("plain", "inverse")
+        )
+        if plain is None or inverse is None:
+            msg = f"bit {bit} of the Grey code along {axis} lacks plain or inverse; capture both."
+            raise AnalysisRefusedError(msg)
+        found[bit] = (plain, inverse)
+    return found
 
 
 def _map_arrays(found: ProjectorMap) -> dict[str, NamedArray]:

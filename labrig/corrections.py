@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 
 from calibration.contrast import ContrastAtDepth, StripeTransfer
 from calibration.dark import DarkMap
+from calibration.entry import Entry
 from calibration.flat import FlatField
 from calibration.geometry import Lens, Plane
 from calibration.model import CameraModel
+from calibration.projector import ProjectorGamma
 from calibration.record import Conditions, Record, validity
 from calibration.response import table_response
 from labrig.calibration_store import read_record
@@ -38,11 +40,13 @@ class Projected:
     position_px : by axis, (rows, cols) of the camera's picture, projector px; NaN where unknown
     transfer : by axis, contrast of stripes against their period
     contrast : c1 against depth, if it was measured
+    gamma : light against grey level, if it was measured
     """
 
     position_px: Mapping[str, Array]
     transfer: Mapping[str, StripeTransfer]
     contrast: ContrastAtDepth | None
+    gamma: ProjectorGamma | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,6 +56,7 @@ class Corrections:
     Attributes
     ----------
     camera : the session's camera with what records say of it
+    entry : lit side, and where light enters and which way it goes, px of the captured picture
     used : id, path and digest of every record, for a result's provenance
     """
 
@@ -59,6 +64,7 @@ class Corrections:
     dark: DarkMap | None = None
     flat: FlatField | None = None
     view: tuple[Lens, Plane] | None = None
+    entry: tuple[str, Entry] | None = None
     projected: Projected | None = None
     notes: tuple[str, ...] = ()
     used: Mapping[str, Any] = field(default_factory=dict)
@@ -74,7 +80,9 @@ def gather(session: Session, setup: Setup, config: Analysis) -> Corrections:
     AnalysisRefusedError
         If a record is of another kind than it is named for, or does not hold for this session.
     """
-    named = {**(session.header.get("calibration") or {}), **config.calibration}
+    kept = dict(session.header.get("calibration") or {})
+    kept.pop("projector_latency", None)  # served the capture, and stands in the header itself
+    named = {**kept, **config.calibration}
     current = conditions_of(session, setup)
     found = Corrections(camera=setup.camera.record())
     for kind, path in named.items():
@@ -88,6 +96,23 @@ def gather(session: Session, setup: Setup, config: Analysis) -> Corrections:
             _with(found, record), notes=(*found.notes, *notes), used={**found.used, **used}
         )
     return found
+
+
+def shone(setup: Setup, known: Corrections) -> tuple[Setup, Corrections]:
+    """Return the setup with the light of grey stripes by the projector's gamma, and what to note.
+
+    Black and white stripes need none: their levels are the ends of every gamma.
+    """
+    stripes = setup.stripes
+    if stripes is None or stripes.levels is None:
+        return setup, known
+    gamma = known.projected.gamma if known.projected is not None else None
+    if gamma is None:
+        note = "The gamma of the projector is unknown: grey levels of stripes were taken for light."
+        return setup, replace(known, notes=(*known.notes, note))
+    low, high = (float(v) for v in gamma.light_at(np.asarray(stripes.levels)))
+    stripes = stripes.model_copy(update={"low": low, "high": high})
+    return setup.model_copy(update={"stripes": stripes}), known
 
 
 def _checked(file: RecordFile, record: Record, current: Conditions, path: Path) -> tuple[str, ...]:
@@ -119,7 +144,7 @@ def _with(found: Corrections, record: Record) -> Corrections:
         case "response":
             return replace(found, camera=_answering(found.camera, record))
         case "geometry":
-            return replace(found, view=_view_of(record))
+            return replace(found, view=_view_of(record), entry=_entry_of(record))
         case "projector":
             return replace(found, projected=_projected_of(record))
 
@@ -187,6 +212,18 @@ def _view_of(record: Record) -> tuple[Lens, Plane]:
     return lens, plane
 
 
+def _entry_of(record: Record) -> tuple[str, Entry] | None:
+    if "lit_side" not in record.settings:
+        return None
+    found = record.quantities
+    return str(record.settings["lit_side"]), Entry(
+        face_x=found["face_px"].value,
+        axis_y=found["axis_px"].value,
+        angle_deg=found["beam_angle_deg"].value,
+        angle_std_deg=found["beam_angle_deg"].std or 0.0,
+    )
+
+
 def _projected_of(record: Record) -> Projected:
     axes = [axis for axis in ("x", "y") if f"map_{axis}" in record.arrays]
     values = {name: quantity.value for name, quantity in record.quantities.items()}
@@ -205,6 +242,18 @@ def _projected_of(record: Record) -> Projected:
             if f"contrast_{axis}_level" in values
         },
         contrast=_contrast_of(record, values),
+        gamma=_gamma_of(record, values),
+    )
+
+
+def _gamma_of(record: Record, values: Mapping[str, float]) -> ProjectorGamma | None:
+    if "light" not in record.arrays:
+        return None
+    return ProjectorGamma(
+        levels=record.arrays["level"].values,
+        light=record.arrays["light"].values,
+        exponent=values["gamma"],
+        residual=values["gamma_residual"],
     )
 
 

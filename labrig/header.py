@@ -33,6 +33,9 @@ def header_of(expanded: CapturePlan, rig: OpenRig, operator: str | None) -> dict
 def setup_of(plan: Plan, rig: OpenRig) -> Setup:
     """Return what the session must tell the analysis: how the rig saw and lit the tank."""
     camera, stripes = rig.config.camera, stripes_of(plan)
+    levels = (stripes.low / 255.0, stripes.high / 255.0)
+    # the simulated projector is linear
+    grey = None if rig.simulated or levels == (0.0, 1.0) else levels
     return Setup.model_validate(
         {
             "camera": {
@@ -47,7 +50,7 @@ def setup_of(plan: Plan, rig: OpenRig) -> Setup:
             "tank": rig.scene.tank.model_dump(),
             "beam": rig.scene.beam_inside().model_dump(),
             "stripes": StripesConfig(
-                period_px=stripes.period_px, low=stripes.low / 255.0, high=stripes.high / 255.0
+                period_px=stripes.period_px, low=levels[0], high=levels[1], levels=grey
             ).model_dump(),
             "projection": rig.config.projection.model_dump(),
         }

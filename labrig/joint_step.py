@@ -29,9 +29,9 @@ from analysis.stripe_aware import (
 )
 from analysis.transport.side_walls import side_wall_loss
 from calibration.errors import CalibrationError
-from labrig.linearise import Pictures, Series
 from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
+from labrig.rectify import Pictures, Series
 from labrig.steps import Decay
 
 Array = NDArray[np.float64]

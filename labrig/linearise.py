@@ -1,103 +1,26 @@
-"""From a session's counts to linear pictures of the tank: merged, oriented, black subtracted."""
+"""From a session's counts to linear light: the bracket of every picture merged."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import TypeVar
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.geometry import Lens, Plane, Resampling, resampling
 from calibration.hdr import Offset, Radiance, merge
 from calibration.model import CameraModel
 from labrig.config import parse
 from labrig.corrections import Corrections
 from labrig.errors import AnalysisRefusedError
 from labrig.models.plan import Shot
-from labrig.models.setup import Setup, StripesConfig
+from labrig.models.setup import Setup
 from labrig.session import Session
 
 Array = NDArray[np.float64]
-T = TypeVar("T", bound=np.generic)
 
 LIGHT = frozenset({"stripes", "white", "black", "ambient"})  # roles that are merged and separated
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Series:
-    """One series of shifted stripes.
-
-    Attributes
-    ----------
-    net, variance : (n_shifts, rows, cols) float32, counts/s, black subtracted
-    duty, low, high : lit share of the period; light of dark and lit stripes, shares of white
-    square : whether the stripes are lit and dark, not a sinusoid
-    contrast : c1 against depth, if it was measured
-    """
-
-    net: NDArray[np.float32]
-    variance: NDArray[np.float32]
-    duty: float = 0.5
-    low: float = 0.0
-    high: float = 1.0
-    square: bool = True
-    contrast: Callable[[Array], Array] | None = None
-
-    @classmethod
-    def main(cls, pictures: Pictures, setup: Setup) -> Series:
-        """Return the series that is separated."""
-        stripes = setup.stripes or StripesConfig()
-        return cls(
-            net=pictures.stripes,
-            variance=pictures.stripes_variance,
-            duty=stripes.duty,
-            low=stripes.low,
-            high=stripes.high,
-            square=stripes.profile == "square",
-            contrast=pictures.contrast,
-        )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pictures:
-    """The tank as the camera saw it, rows along the lit face, columns into the depth.
-
-    Attributes
-    ----------
-    stripes, stripes_variance : (n_shifts, rows, cols) float32, counts/s, black subtracted
-    white, white_variance : (rows, cols) likewise; None without white frames
-    black, black_variance : (rows, cols), what was subtracted, above the dark level; None if
-        nothing was. It is common to all shifts, so its variance is not in theirs
-    leak : (rows, cols), the projector's part of black: ambient taken off where it is known; None
-        without a black picture
-    position_px : (rows, cols), projector px along the stripes' axis, from a projector record
-    captured : (rows, cols), the first stripe picture with nothing subtracted
-    pixel : side of a pixel, in ``unit``
-    unit : "mm", or "px" where the scale is unknown
-    saturated_fraction : pixels without any unsaturated exposure
-    notes : what was missing and what was done instead
-    contrast : c1 of ``stripes`` against depth, if a record knows it
-    more : series of stripes of other periods
-    """
-
-    stripes: NDArray[np.float32]
-    stripes_variance: NDArray[np.float32]
-    white: Array | None
-    white_variance: Array | None
-    black: Array | None
-    black_variance: Array | None
-    leak: Array | None
-    position_px: Array | None
-    captured: Array
-    pixel: float
-    unit: str
-    saturated_fraction: float
-    notes: tuple[str, ...]
-    contrast: Callable[[Array], Array] | None = None
-    more: tuple[Series, ...] = ()
 
 
 def linearise(
@@ -125,10 +48,10 @@ def linearise(
     known = known or Corrections(camera=setup.camera.record())
     camera = known.camera
     by_picture: dict[str, list[Shot]] = defaultdict(list)
-    for shot in _shots(session):
+    for shot in shots_of(session):
         by_picture[shot.role if shot.shift is None else f"{shot.role}-{shot.shift}"].append(shot)
     darks = _dark_levels(session, by_picture.pop("dark", []), camera)
-    _shift_names(session)
+    shift_names(session)
     _refuse_mixed_patterns(session, by_picture)
 
     def offset(exposure_s: float) -> Offset:
@@ -187,123 +110,6 @@ def _without_hot(radiance: Radiance, known: Corrections) -> Radiance:
     return replace(radiance, value=value, valid=radiance.valid & ~known.dark.hot)
 
 
-def rectify(
-    radiances: Mapping[str, Radiance],
-    session: Session,
-    setup: Setup,
-    known: Corrections | None = None,
-) -> Pictures:
-    """Cut the region out, turn the lit side to the left, subtract black from the rest.
-
-    With a geometry record the region is first resampled to even millimetres of the tank's plane.
-
-    Raises
-    ------
-    AnalysisRefusedError
-        If a shift of the stripes is missing, or lengths are given in mm but no scale.
-    """
-    shifts = _shift_names(session)
-    sizes = {radiance.value.shape for radiance in radiances.values()}
-    if len(sizes) > 1:
-        msg = (
-            f"session {session.path.name} holds pictures of {sorted(sizes)} px; all must be equal."
-        )
-        raise AnalysisRefusedError(msg)
-    known = known or Corrections(camera=setup.camera.record())
-    notes = _notes(session, setup, radiances, known)
-    position = _position(setup, known)
-    if known.view is not None:
-        even, setup = _even(known.view, setup, next(iter(sizes)))
-        radiances = {name: _resampled(radiance, even) for name, radiance in radiances.items()}
-        position = None if position is None else even.apply(position)
-    unit, pixel = ("mm", setup.geometry.mm_per_px) if setup.geometry.mm_per_px else ("px", 1.0)
-    if unit == "px" and (setup.tank or setup.beam or setup.projection):
-        msg = "tank, beam and projection are in mm, but geometry.mm_per_px is not given; add it."
-        raise AnalysisRefusedError(msg)
-    dark_name = next((name for name in ("black", "ambient") if name in radiances), None)
-
-    def values(name: str) -> Array:
-        return _turned(radiances[name].value, setup).astype(np.float64)
-
-    def variances(name: str) -> Array:
-        return _turned(radiances[name].variance, setup).astype(np.float64)
-
-    black = values(dark_name) if dark_name else None
-    stripes = np.stack([_turned(radiances[name].value, setup) for name in shifts])
-    captured = stripes[0].astype(np.float64)
-    white = values("white") if "white" in radiances else None
-    white_variance = variances("white") if "white" in radiances else None
-    if black is not None and dark_name is not None:
-        stripes -= black.astype(np.float32)
-        if white is not None and white_variance is not None:
-            white, white_variance = white - black, white_variance + variances(dark_name)
-    lost = [~_turned(radiances[name].valid, setup) for name in shifts]
-    leak = values("black") if "black" in radiances else None
-    if leak is not None and "ambient" in radiances:
-        leak = leak - values("ambient")
-    return Pictures(
-        stripes=stripes,
-        stripes_variance=np.stack([_turned(radiances[name].variance, setup) for name in shifts]),
-        white=white,
-        white_variance=white_variance,
-        black=black,
-        black_variance=variances(dark_name) if dark_name else None,
-        leak=leak,
-        position_px=None if position is None else _turned(position, setup),
-        captured=captured,
-        pixel=float(pixel or 1.0),
-        unit=unit,
-        saturated_fraction=float(np.mean(np.any(lost, axis=0))),
-        notes=tuple(notes),
-        contrast=None
-        if known.projected is None or known.projected.contrast is None
-        else known.projected.contrast.at,
-    )
-
-
-def _position(setup: Setup, known: Corrections) -> Array | None:
-    """Return the projector's position in the camera's picture, along the stripes, if known."""
-    axis = setup.stripes.axis if setup.stripes is not None else "x"
-    if known.projected is None or axis not in known.projected.position_px:
-        return None
-    return np.asarray(known.projected.position_px[axis], dtype=np.float64)
-
-
-def _even(
-    view: tuple[Lens, Plane], setup: Setup, shape: tuple[int, ...]
-) -> tuple[Resampling, Setup]:
-    """Return how to resample the region to even mm, axes as in the picture, and the setup then."""
-    lens, plane = view
-    if lens.shape != shape:
-        msg = f"pictures of {shape} px and a geometry record of {lens.shape}: calibrate anew."
-        raise AnalysisRefusedError(msg)
-    x, y, width, height = setup.geometry.region_px or (0, 0, shape[1], shape[0])
-    corners = np.array([[x, y], [x + width, y], [x, y + height]], dtype=np.float64) - 0.5
-    origin, right, _ = plane.to_mm(lens.undistorted(corners))
-    along = right - origin
-    angle = float(np.arctan2(along[1], along[0]))
-    # the board may lie at any angle: its axes are turned into the picture's
-    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    lifted = np.eye(3)
-    lifted[:2, :2], lifted[:2, 2] = turn, -turn @ origin
-    aligned = replace(plane, homography=lifted @ plane.homography)
-    scale = setup.geometry.mm_per_px or plane.mm_per_px
-    far = aligned.to_mm(lens.undistorted(np.array([[x + width, y + height]]) - 0.5))[0]
-    size = (round(float(far[1]) / scale), round(float(far[0]) / scale))
-    if min(size) < 2:
-        msg = "the board is mirrored in the picture: it cannot have been photographed so."
-        raise AnalysisRefusedError(msg)
-    even = resampling(lens, aligned, origin_mm=(0.0, 0.0), size_px=size, mm_per_px=scale)
-    geometry = setup.geometry.model_copy(update={"mm_per_px": scale, "region_px": None})
-    return even, setup.model_copy(update={"geometry": geometry})
-
-
-def _resampled(radiance: Radiance, even: Resampling) -> Radiance:
-    value = even.apply(radiance.value).astype(np.float32)
-    variance = even.apply_variance(radiance.variance).astype(np.float32)
-    return Radiance(value=value, variance=variance, valid=np.isfinite(value))
-
-
 def _dark_levels(session: Session, darks: list[Shot], camera: CameraModel) -> dict[float, float]:
     """Return the mean of the dark frames of each exposure, DN.
 
@@ -325,13 +131,21 @@ def _dark_levels(session: Session, darks: list[Shot], camera: CameraModel) -> di
     return {exposure_s: float(np.mean(found)) for exposure_s, found in levels.items()}
 
 
-def _shots(session: Session) -> list[Shot]:
+def shots_of(session: Session) -> list[Shot]:
+    """Return the shots that a session names."""
     source = f"session {session.path.name}"
     return [parse(r, Shot, source=f"{source}: shot {r['id']!r}") for r in session.shots]
 
 
-def _shift_names(session: Session) -> list[str]:
-    stripes = [shot for shot in _shots(session) if shot.role == "stripes"]
+def shift_names(session: Session) -> list[str]:
+    """Return the names of the stripe pictures, in order of their shift.
+
+    Raises
+    ------
+    AnalysisRefusedError
+        If shifts of a period are missing, or there are none or several series.
+    """
+    stripes = [shot for shot in shots_of(session) if shot.role == "stripes"]
     series = {shot.shifts for shot in stripes if shot.shifts is not None}
     if not stripes:
         msg = f"session {session.path.name} holds no stripe pictures; nothing can be separated."
@@ -352,73 +166,3 @@ def _shift_names(session: Session) -> list[str]:
         )
         raise AnalysisRefusedError(msg)
     return [f"stripes-{k}" for k in range(n)]
-
-
-def _turned(picture: NDArray[T], setup: Setup) -> NDArray[T]:
-    """Return the region with the lit side left, cut to the tank where that is given."""
-    geometry = setup.geometry
-    x, y, width, height = geometry.region_px or (0, 0, picture.shape[1], picture.shape[0])
-    if x + width > picture.shape[1] or y + height > picture.shape[0]:
-        msg = (
-            f"region_px {[x, y, width, height]} leaves the picture of "
-            f"{picture.shape[1]} x {picture.shape[0]} px; mend it."
-        )
-        raise AnalysisRefusedError(msg)
-    region = picture[y : y + height, x : x + width]
-    if geometry.lit_side == "right":
-        region = region[:, ::-1]
-    elif geometry.lit_side == "top":
-        region = region.T
-    elif geometry.lit_side == "bottom":
-        region = region[::-1].T
-    if setup.tank is not None and geometry.mm_per_px is not None:
-        rows = round(setup.tank.width_mm / geometry.mm_per_px)
-        cols = round(setup.tank.depth_mm / geometry.mm_per_px)
-        region = region[:rows, :cols]
-    return region
-
-
-def _notes(
-    session: Session, setup: Setup, radiances: Mapping[str, Radiance], known: Corrections
-) -> list[str]:
-    notes = list(known.notes)
-    if not session.sealed:
-        notes.append("The session was interrupted: it is not sealed.")
-    if known.camera.floor_variance_dn2 is None:
-        notes.append(
-            "Gain or read noise of the camera is unknown: no variance map, no detection limit; "
-            "standard deviations come from the scatter of rows."
-        )
-    if setup.geometry.mm_per_px is None and known.view is None:
-        notes.append("The scale of the picture is unknown: lengths are in px.")
-    if "black" not in radiances:
-        instead, remains = (
-            ("the ambient picture", "the projector's leak remains")
-            if "ambient" in radiances
-            else ("nothing", "the projector's leak and ambient light remain")
-        )
-        notes.append(
-            f"There is no black picture: {instead} was subtracted; {remains} in the multiple "
-            "scattering."
-        )
-    if "white" not in radiances:
-        notes.append("There is no white picture: no closure, and no fit without separation.")
-    roles = {shot.role for shot in _shots(session)}
-    if "dark" not in roles and known.dark is None:
-        notes.append("There are no dark frames: the declared black level is the offset.")
-    if "flat" in roles and known.flat is None:
-        notes.append("Flat frames are in the session: make a record of them and name it.")
-    notes += _short_exposures(session, known)
-    return notes
-
-
-def _short_exposures(session: Session, known: Corrections) -> list[str]:
-    """Return a note on exposures of which the shutter's offset is more than 1 percent."""
-    offset_s = known.camera.shutter_offset_s
-    short = sorted({s.exposure_s for s in _shots(session) if abs(offset_s) > 0.01 * s.exposure_s})
-    if not short:
-        return []
-    times = ", ".join(f"{t:g}" for t in short)
-    return [
-        f"The shutter's offset of {1e6 * offset_s:.1f} us exceeds 1 % of the exposures {times} s."
-    ]

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Literal
 
 from labrig.config import parse
-from labrig.corrections import gather
+from labrig.corrections import gather, shone
 from labrig.joint_step import fit_joint
-from labrig.linearise import linearise, rectify
+from labrig.linearise import linearise
 from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
 from labrig.record import Outcome, fields_of, run_of
-from labrig.results import Result, read_results, write_results
+from labrig.rectify import rectify
+from labrig.results import Result, read_results, results_of, write_results
 from labrig.session import Session
 from labrig.steps import attenuate, explain, render_bounces, separate
 
@@ -74,8 +75,9 @@ def analyse(
     watch = Stopwatch(progress)
     config = config or Analysis.model_validate({"schema": "labrig-analysis/1"})
     session = Session.open(session_path)
+    parent = out or results_of(session_path)
     setup = parse(session.header.get("setup"), Setup, source=f"{session_path}: setup")
-    known = gather(session, setup, config)
+    setup, known = shone(setup, gather(session, setup, config))
     decay = joint = explained = None
 
     watch.start("linearise")
@@ -106,5 +108,4 @@ def analyse(
         explained=explained,
         seconds=watch.seconds,
     )
-    parent = out or session_path / "results"
     return read_results(write_results(parent, run_of(outcome), *fields_of(outcome)))

@@ -110,6 +110,7 @@ def make_camera(entry: CameraEntry) -> Camera:
             size=(entry.cols, entry.rows),
             controls=entry.controls,
             timestamp=entry.timestamp,
+            allow_uncalibrated=entry.allow_uncalibrated,
         )
     )
 

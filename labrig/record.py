@@ -21,9 +21,9 @@ from analysis.separation_quality import closure, harmonic_ratio, stripe_residue
 from analysis.stripe_aware import StripeAware
 from labrig.corrections import Corrections
 from labrig.joint_step import Joint
-from labrig.linearise import Pictures
 from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
+from labrig.rectify import Pictures
 from labrig.results import Field
 from labrig.session import Session
 from labrig.steps import Decay, Explained, Separated
@@ -67,6 +67,7 @@ def run_of(outcome: Outcome) -> dict[str, Any]:
             "id": header.get("id", outcome.session.path.name),
             "path": str(outcome.session.path),
             "simulated": bool(header.get("simulated", False)),
+            "scene": str((header.get("scene") or {}).get("name", "")),
             "imported": bool(header.get("imported", False)),
             "sealed": outcome.session.sealed,
         },

@@ -34,9 +34,9 @@ from analysis.transport.ordinates import solve_on
 from calibration.projector import stripe_light
 from labrig.corrections import Corrections
 from labrig.errors import AnalysisRefusedError
-from labrig.linearise import Pictures
 from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup, StripesConfig
+from labrig.rectify import Pictures
 
 Array = NDArray[np.float64]
 
@@ -337,9 +337,14 @@ def _beam(pictures: Pictures, setup: Setup) -> tuple[Beam, tuple[str, ...]]:
     if lit is None:
         lit = pictures.stripes.mean(axis=0).astype(np.float64)
     beam = measure_beam(lit, pictures.pixel)
+    angle = pictures.beam_angle_deg
+    direction = "taken to enter straight (0 degrees)"
+    if angle is not None:
+        beam = replace(beam, angle_deg=angle)
+        direction = f"at {angle:.2f} degrees by the geometry record"
     note = (
         f"The beam was measured from the picture: {beam.from_mm:.4g} to {beam.to_mm:.4g} "
-        f"{pictures.unit}, taken to enter straight (0 degrees)."
+        f"{pictures.unit}, {direction}."
     )
     return beam, (note,)
 

@@ -152,7 +152,7 @@ def simulate(
     n_batch = most if until_std_error is None else min(most, FIRST_PATHS)
     while True:
         _run_all(batches, n_batch, n_threads, progress)
-        fluence, std_error = _mean_and_error([batch.scores for batch in batches])
+        fluence, std_error = mean_and_error([batch.scores for batch in batches])
         if until_std_error is None or n_batch == most:
             break
         excess = float(_relative_noise(fluence, std_error).max()) / until_std_error
@@ -164,7 +164,7 @@ def simulate(
     # Irradiance is counted across the beam: a slanted one brings its cosine to the face.
     power = float(np.trapezoid(irradiance, y_points)) * math.cos(math.radians(beam.angle_deg))
     weight = power / (n_batch * (tank.depth_mm / n_x) * (tank.width_mm / n_y))
-    radiance, radiance_error = _mean_and_error([batch.lobes for batch in batches])
+    radiance, radiance_error = mean_and_error([batch.lobes for batch in batches])
     per_bin = weight * n_theta / (2.0 * math.pi)
     return SampledField(
         fluence=weight * fluence,
@@ -227,7 +227,7 @@ class _Batch:
         )
         self._tank = np.array([tank.depth_mm, tank.width_mm], dtype=np.float64)
         self._angle = math.radians(beam.angle_deg)
-        self._entry = _with_cumulative(*beam.profile_points())
+        self._entry = with_cumulative(*beam.profile_points())
         self._stretched = _stretched_phase_function(medium)
         self._rng = np.random.default_rng(seed)
         self._shift = self._rng.random(N_LATTICE)
@@ -255,7 +255,7 @@ class _Batch:
             (self._n_done, n_paths),
             self._rng,
             self._shift,
-            _lattice(N_LATTICE),
+            lattice_steps(N_LATTICE),
             self._wavenumber,
             self._harmonics,
             self._slots,
@@ -307,7 +307,7 @@ def _run_all(
             raise
 
 
-def _mean_and_error(scores: list[Array]) -> tuple[Array, Array]:
+def mean_and_error(scores: list[Array]) -> tuple[Array, Array]:
     """Return mean and standard error over the batches, of the shape of one."""
     mean = np.mean(scores, axis=0)
     squares = np.zeros_like(mean)
@@ -324,7 +324,7 @@ def _relative_noise(fluence: Array, std_error: Array) -> Array:
     return np.asarray(np.sqrt((ratio**2).sum(axis=(1, 2)) / count))
 
 
-def _with_cumulative(nodes: Array, density: Array) -> Density:
+def with_cumulative(nodes: Array, density: Array) -> Density:
     """Return what `draw` needs of a piecewise-linear density: it and its share up to each node."""
     pieces = 0.5 * (density[1:] + density[:-1]) * np.diff(nodes)
     cumulative = np.concatenate([[0.0], np.cumsum(pieces)])
@@ -347,10 +347,10 @@ def _stretched_phase_function(medium: Medium) -> Density:
         return np.empty(0), np.empty(0), np.empty(0)
     psi = np.linspace(-0.5 * math.pi, 0.5 * math.pi, N_PSI)
     narrow = (1.0 - abs(medium.g)) / (1.0 + abs(medium.g))
-    return _with_cumulative(psi, np.hypot(np.cos(psi), narrow * np.sin(psi)))
+    return with_cumulative(psi, np.hypot(np.cos(psi), narrow * np.sin(psi)))
 
 
-def _lattice(n_dimensions: int) -> Array:
+def lattice_steps(n_dimensions: int) -> Array:
     """Return the steps of the additive recurrence built on the generalised golden ratio."""
     ratio = 2.0
     for _ in range(60):

@@ -20,10 +20,8 @@ from drivers.camera.protocol import (
 )
 from drivers.camera.v4l2_controls import EXPOSURE_ABSOLUTE, EXPOSURE_UNIT_S, Controls
 from drivers.errors import (
-    AccessDeniedError,
     DeviceBusyError,
     DeviceLostError,
-    DeviceNotFoundError,
     DriverError,
     FrameCorruptError,
     NoFrameError,
@@ -31,8 +29,7 @@ from drivers.errors import (
     SettingRefusedError,
 )
 from drivers.receipts import TriggerReceipt
-from drivers.transport import v4l2_ioctl as v4l2
-from drivers.transport.v4l2_device import DeviceInfo, FrameFormat, VideoDevice
+from drivers.transport.v4l2_device import DeviceInfo, FrameFormat, VideoDevice, open_device
 from drivers.transport.v4l2_stream import Filled, Stream
 from drivers.waiting import SLICE_S, CancelToken
 
@@ -97,7 +94,7 @@ class V4l2Camera:
         if self._device is not None:
             msg = f"camera {self._settings.device} is open already; close it first."
             raise DeviceBusyError(msg)
-        device = _open(self._settings.device)
+        device = open_device(self._settings.device)
         try:
             self._info = device.info()
             self._device, self._controls = device, Controls(device.node)
@@ -405,26 +402,3 @@ class V4l2Camera:
             msg = f"camera {self._settings.device} is not armed; call arm('free-run') first."
             raise NotOpenError(msg)
         return self._stream
-
-
-def _open(path: str) -> VideoDevice:
-    try:
-        node = v4l2.VideoNode(path)
-    except OSError as error:
-        if error.errno in (errno.EACCES, errno.EPERM):
-            msg = f"camera {path} may not be opened by this user; run: labrig doctor --fix-udev"
-            raise AccessDeniedError(msg) from error
-        if error.errno == errno.EBUSY:
-            raise DeviceBusyError(f"camera {path} is held by another program.") from error  # noqa: EM102
-        msg = f"camera {path} cannot be opened ({error.strerror}); labrig devices lists cameras."
-        raise DeviceNotFoundError(msg) from error
-    device = VideoDevice(node)
-    try:
-        streams = device.can_stream()
-    except OSError:
-        streams = False
-    if not streams:
-        node.close()
-        msg = f"{path} is no camera that streams; labrig devices lists those that are."
-        raise DeviceNotFoundError(msg)
-    return device

@@ -6,6 +6,7 @@ import errno
 from dataclasses import dataclass
 from pathlib import Path
 
+from drivers.errors import AccessDeniedError, DeviceBusyError, DeviceNotFoundError
 from drivers.transport import v4l2_ioctl as v4l2
 
 Roi = tuple[int, int, int, int]
@@ -114,6 +115,8 @@ class VideoDevice:
         if (taken.width, taken.height, taken.letters) != (width, height, letters):
             msg = f"{width}x{height} {letters} asked, {taken.width}x{taken.height} {taken.letters}"
             raise UnfitError(msg + " taken")
+        if roi is not None:
+            self._refuse_other_region(roi)  # a new size may have moved it
         return FrameFormat(
             width=taken.width,
             height=taken.height,
@@ -139,6 +142,9 @@ class VideoDevice:
                 raise
             msg = f"region {roi} asked, this camera offers none"
             raise UnfitError(msg) from error
+        self._refuse_other_region(roi)
+
+    def _refuse_other_region(self, roi: Roi) -> None:
         taken = self._selection(v4l2.SEL_TGT_CROP)
         if taken != roi:
             msg = f"region {roi} asked, {taken} taken"
@@ -184,3 +190,33 @@ def video_devices(folder: Path = Path("/dev")) -> list[tuple[str, DeviceInfo]]:
         finally:
             device.node.close()
     return found
+
+
+def open_device(path: str) -> VideoDevice:
+    """Open a camera by its path.
+
+    Raises
+    ------
+    AccessDeniedError, DeviceBusyError, DeviceNotFoundError
+        With the remedy.
+    """
+    try:
+        node = v4l2.VideoNode(path)
+    except OSError as error:
+        if error.errno in (errno.EACCES, errno.EPERM):
+            msg = f"camera {path} may not be opened by this user; run: labrig doctor --fix-udev"
+            raise AccessDeniedError(msg) from error
+        if error.errno == errno.EBUSY:
+            raise DeviceBusyError(f"camera {path} is held by another program.") from error  # noqa: EM102
+        msg = f"camera {path} cannot be opened ({error.strerror}); labrig devices lists cameras."
+        raise DeviceNotFoundError(msg) from error
+    device = VideoDevice(node)
+    try:
+        streams = device.can_stream()
+    except OSError:
+        streams = False
+    if not streams:
+        node.close()
+        msg = f"{path} is no camera that streams; labrig devices lists those that are."
+        raise DeviceNotFoundError(msg)
+    return device

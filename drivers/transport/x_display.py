@@ -242,7 +242,8 @@ def _describe(handle: Any, resources: Any, monitor: _Monitor) -> Output:
     refresh_hz, scaled = None, False
     if monitor.n_outputs > 0:
         info = _randr().XRRGetOutputInfo(handle, resources, monitor.outputs[0])
-        crtc = _randr().XRRGetCrtcInfo(handle, resources, info[0].crtc)
+        # an output that is off has none, and to ask for that ends this process
+        crtc = info[0].crtc and _randr().XRRGetCrtcInfo(handle, resources, info[0].crtc)
         modes = {m.id: m for m in resources[0].modes[: resources[0].n_mode]}
         mode = modes.get(crtc[0].mode) if crtc else None
         if mode is not None:

@@ -30,6 +30,7 @@ class V4l2CameraConfig(RealCameraConfig):
     driver: Literal["v4l2"]
     controls: dict[str, int] = Field(default_factory=dict, description="by name, such as gain: 0")
     timestamp: Literal["start", "end"] | None = Field(None, description="as declared if left out")
+    allow_uncalibrated: bool = Field(False, description="take MJPEG, not proportional to light")
 
 
 class GenicamCameraConfig(RealCameraConfig):

@@ -104,6 +104,9 @@ class StripesConfig(Model):
     offset_px: float = Field(0.0, description="where a lit stripe of shift 0 begins")
     low: float = Field(0.0, ge=0.0, lt=1.0, description="light of a dark stripe, share of white")
     high: float = Field(1.0, gt=0.0, le=1.0, description="light of a lit stripe, share of white")
+    levels: tuple[float, float] | None = Field(
+        None, description="grey levels of both, shares of white, if not 0 and 1: gamma makes light"
+    )
 
     @model_validator(mode="after")
     def _low_is_darker(self) -> StripesConfig:

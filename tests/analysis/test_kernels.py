@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis import separation
+from analysis import separation, separation_kernels
 from analysis.light_field import Grid
 from analysis.medium import Medium, Tank
 from analysis.transport import beam as beam_kernels
@@ -101,12 +101,12 @@ def test_monte_carlo_path(phase):
             np.array([0.7, 0.56, 0.4, 1.1]),
             np.array([5.0, 4.0]),
             0.3,
-            montecarlo._with_cumulative(np.array([1.0, 1.5, 2.5]), np.array([0.0, 2.0, 1.0])),
+            montecarlo.with_cumulative(np.array([1.0, 1.5, 2.5]), np.array([0.0, 2.0, 1.0])),
             montecarlo._stretched_phase_function(medium),
             (0, 200),
             rng,
             rng.random(5),
-            montecarlo._lattice(5),
+            montecarlo.lattice_steps(5),
             2.0,
             np.array([1, 3]),
             np.array([-1, 0, -1]),
@@ -127,7 +127,7 @@ def test_monte_carlo_path(phase):
 @pytest.mark.parametrize("g", [0.4, -0.6, 1.0, -1.0])
 def test_draw_and_deflect(g):
     nodes, density = np.array([1.0, 1.5, 2.0, 2.5]), np.array([0.0, 2.0, 1.0, 0.0])
-    entry = montecarlo._with_cumulative(nodes, density)
+    entry = montecarlo.with_cumulative(nodes, density)
     fine = np.linspace(1.0, 2.5, 200_001)
     for share in (0.0, 0.2, 0.5, 0.99):
         found = montecarlo_kernels.draw.py_func(*entry, share)
@@ -185,24 +185,26 @@ def test_known_pattern(dtype):
     found = separation.separate_known(net, variance, pattern, 0.4)
     literal = separation_by_numpy(net.astype(float), variance.astype(float), pattern, 0.4)
     parts = (found.single, found.multiple, found.single_variance, found.multiple_variance)
-    # measured worst 2e-13
-    np.testing.assert_allclose(np.stack([*parts, found.chi2]), literal, rtol=1e-9)
+    # measured worst 2e-13, and 1.9e-5 of sums in single precision
+    np.testing.assert_allclose(
+        np.stack([*parts, found.chi2]), literal, rtol=1e-9 if dtype is np.float64 else 1e-4
+    )
 
 
-@pytest.mark.parametrize("kernel", ["_known", "_harmonic", "_extrema"])
+@pytest.mark.parametrize("kernel", ["known", "harmonic", "extrema"])
 def test_separation_kernels(kernel):
     rng = np.random.default_rng(5)
     net, variance = rng.random((6, 5, 4)), rng.random((6, 5, 4))
     net[2, 0, 0] = np.nan
     turn = 2.0 * np.pi * np.arange(6) / 6
     own = {
-        "_known": (rng.random((6, 5, 1)), 0.5, 1e-4),
-        "_harmonic": (np.stack([np.cos(turn), -np.sin(turn)]) / 3.0, np.full(4, 1.6), 0.5),
-        "_extrema": (0.5,),
+        "known": (rng.random((6, 5, 1)), 0.5, 1e-4),
+        "harmonic": (np.stack([np.cos(turn), -np.sin(turn)]) / 3.0, np.full(4, 1.6), 0.5),
+        "extrema": (0.5,),
     }[kernel]
     fast, slow = np.empty((5, 5, 4)), np.empty((5, 5, 4))
     seen = np.empty((2, 5, 4), np.uint8)
-    compiled = getattr(separation, kernel)
+    compiled = getattr(separation_kernels, kernel)
     with np.errstate(invalid="ignore"):
         compiled(net, variance, *own, *fast[:4], seen[0], fast[4])
         compiled.py_func(net, variance, *own, *slow[:4], seen[1], slow[4])

@@ -86,7 +86,8 @@ def _gige(request: pytest.FixtureRequest) -> Case:
 
 
 def _vivid(request: pytest.FixtureRequest) -> Case:
-    words = ["vivid", "n_devs=1", "num_inputs=1", "input_types=0", "node_types=0x1"]
+    # loaded as tests/hardware/vm/guest/test_vivid.py wants it, if it did not do so before
+    words = ["vivid", "n_devs=2", "num_inputs=1,1", "input_types=0x0,0x3", "node_types=0x1,0x1"]
     subprocess.run(["modprobe", "-d", os.environ["LABRIG_VM_KERNEL"], *words], check=True)
     subprocess.run(["udevadm", "settle", "-t", "20"], check=False)
     camera = V4l2Camera(V4l2Settings(device="/dev/video0", size=(320, 180), pixel_format="Y16"))

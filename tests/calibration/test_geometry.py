@@ -1,5 +1,8 @@
 """Board to lens and plane on rendered views; resampling; where the beam enters."""
 
+import re
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -158,3 +161,19 @@ def test_entry_face_and_beam_axis_are_located():
     assert found.angle_deg == pytest.approx(4.0, abs=0.1)
     with pytest.raises(CalibrationError, match="no beam"):
         locate_entry(np.ones((50, 60)), 0.1)
+
+
+def test_only_what_opencv_4_and_5_share_is_called():
+    """Tried with 4.14.0.94 and 5.0.0.93: in both the tests of this file pass."""
+    shared = {
+        *("aruco", "aruco.CharucoBoard", "aruco.CharucoDetector"),
+        *("aruco.getPredefinedDictionary", "calibrateCameraExtended", "error", "findHomography"),
+        *("imencode", "projectPoints", "undistortPoints"),
+    }
+    root = Path(__file__).resolve().parents[2]
+    found = set()
+    for room in ("analysis", "calibration", "drivers", "labrig"):
+        for path in (root / room).rglob("*.py"):
+            found |= set(re.findall(r"\bcv2\.((?:aruco\.)?[A-Za-z_]+)", path.read_text("utf-8")))
+    assert "calibrateCameraExtended" in found
+    assert found <= shared

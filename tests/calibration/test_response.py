@@ -11,6 +11,7 @@ from calibration.response import (
     Ramp,
     fit_response,
     linearity_of,
+    power_of_pairs,
     sample_ramp,
     srgb_response,
     table_response,
@@ -128,3 +129,20 @@ def test_bad_ramps_are_refused_in_one_line():
         fit_response(black)
     with pytest.raises(CalibrationError, match="table of 256"):
         srgb_response(8).linear(12)
+
+
+def test_a_pattern_and_its_inverse_tell_the_power_of_a_camera():
+    rng = np.random.default_rng(8)
+    white, black = rng.uniform(0.5, 0.9, 500), np.full(500, 0.03)
+    pairs = []
+    for _ in range(4):
+        share = rng.uniform(0.0, 1.0, 500)
+        lit = black + share * (white - black)
+        pairs.append((255.0 * lit**1.1, 255.0 * (white + black - lit) ** 1.1))
+    found = power_of_pairs(pairs, 255.0 * white**1.1, 255.0 * black**1.1, bits=8)
+    # measured 1.100
+    assert found.name == "power 1.100"
+    with pytest.raises(CalibrationError, match="8 bits or fewer"):
+        power_of_pairs(pairs, white, black, bits=12)
+    with pytest.raises(CalibrationError, match="under no power"):
+        power_of_pairs([(white, white)], white, black, bits=8)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+import tkinter as tk
 
 import numpy as np
 import pytest
@@ -181,6 +182,35 @@ def test_an_output_that_would_not_show_pixel_for_pixel_is_refused(settings, serv
     with pytest.raises(SettingRefusedError, match="Xorg session"):
         open_with(display="")
     assert server.shows_desktop()
+
+
+def test_a_compositor_is_refused_unless_it_is_accepted(settings, server):
+    desktop = tk.Tk(screenName=server.display)
+    desktop.withdraw()
+    desktop.selection_own(selection="_NET_WM_CM_S0")  # what a compositor does to be known
+    desktop.update()
+    try:
+        with pytest.raises(SettingRefusedError, match="redrawn by a compositor: stop it"):
+            ScreenProjector(settings).open()
+        accepted = dataclasses.replace(settings, allow_compositor=True, black_after=False)
+        projector = ScreenProjector(accepted)
+        projector.open()
+        assert not server.grab().any()
+        projector.close()
+    finally:
+        desktop.destroy()
+
+
+def test_an_output_that_is_off_is_no_reason_to_die(tmp_path):
+    server = XServer(tmp_path, right=(64, 48))
+    # Xvfb drops the mode before it refuses the scale: LEFT's output then has no CRTC, and asked
+    # for that one libX11 would end this process
+    off = ("xrandr", "--output", "screen", "--scale", "0.5x0.5")
+    subprocess.run(
+        off, check=False, capture_output=True, env={**os.environ, "DISPLAY": server.display}
+    )
+    assert "PROJ" in [output.name for output in outputs(server.display)]
+    server.stop()
 
 
 def test_an_image_of_another_size_or_depth_is_refused(projector):

@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import tifffile
+from frames import frame
 from PIL import Image
 
 import labrig
@@ -27,12 +27,6 @@ CONDITIONS = {"camera": "Test 1", "gain": "0 dB", "lens": "16 mm"}
 
 ManifestWriter = Callable[..., Path]
 Command = Callable[..., Any]
-
-
-def frame(folder: Path, name: str, counts: np.ndarray, role: str, exposure_s: float, **more: Any):
-    folder.mkdir(parents=True, exist_ok=True)
-    tifffile.imwrite(folder / name, np.clip(np.rint(counts), 0, 4095).astype(np.uint16))
-    return {"file": name, "role": role, "exposure_s": exposure_s, **more}
 
 
 def lit(rate: float, exposure_s: float, seed: int) -> np.ndarray:
@@ -307,49 +301,3 @@ def test_help_names_every_kind(command: Command) -> None:
     for kind in ("dark", "flat", "photon-transfer", "response", "geometry", "board", "projector"):
         assert kind in said.out
     assert run(["calibrate", "nonsense"]) == 2
-
-
-def test_a_geometry_record_brings_pictures_to_even_millimetres(
-    tmp_path: Path, write_manifest: ManifestWriter
-) -> None:
-    """Boards seen square on by a lens without distortion: mm are px times a known scale."""
-    board = Board()
-    drawn = board.draw(3.0).astype(np.uint16) * 12 + 400
-    frames = []
-    for k, (left, top, tilt) in enumerate(((40, 30, 0.0), (20, 50, 0.3), (60, 20, -0.3))):
-        # a homography of a camera of 400 px focal length at 150 mm; the first view is square on
-        turn, _ = cv2.Rodrigues(np.array([tilt, -0.7 * tilt, 0.1 * k]))
-        place = np.array([(left - 160) * 0.375, (top - 120) * 0.375, 150.0 + 10.0 * k])
-        matrix = np.array([[400.0, 0, 159.5], [0, 400.0, 119.5], [0, 0, 1.0]])
-        plane = matrix @ np.column_stack([turn[:, 0], turn[:, 1], place])
-        scale = np.array([[1 / 3.0, 0, 1 / 6.0], [0, 1 / 3.0, 1 / 6.0], [0, 0, 1.0]])
-        seen = cv2.warpPerspective(
-            cv2.GaussianBlur(drawn, (0, 0), 0.6), plane @ scale, (320, 240), borderValue=2800.0
-        )
-        frames.append(frame(tmp_path, f"v{k}.tif", seen, "board", 0.1))
-    session = labrig.import_session(write_manifest(tmp_path, frames), tmp_path / "s")
-    record = labrig.calibrate("geometry", session)
-    found = labrig.read_calibration(record)
-    # 150 mm over 400 px is 0.375; measured 0.3752
-    assert found.quantities["mm_per_px"].value == pytest.approx(0.375, rel=0.005)
-    pictures = []
-    x = np.arange(320)[None, :]
-    for k in range(6):
-        counts = 1000.0 + 500.0 * np.cos(2 * np.pi * (x / 16.0 - k / 6.0)) + np.zeros((240, 320))
-        pictures.append(frame(tmp_path, f"s{k}.tif", counts, "stripes", 0.1, shift=k, shifts=6))
-    pictures.append(frame(tmp_path, "w.tif", np.full((240, 320), 2000.0), "white", 0.1))
-    keys = {
-        "stripes": {"profile": "sinusoid"},
-        "geometry": {"region_px": [40, 30, 200, 150]},
-        "calibration": {"geometry": str(record)},
-    }
-    manifest = write_manifest(
-        tmp_path / "b", [{**p, "file": f"../{p['file']}"} for p in pictures], **keys
-    )
-    result = labrig.analyse(labrig.import_session(manifest, tmp_path / "s"), until="separation")
-    assert result.run["length_unit"] == "mm"
-    # 200 px of 0.375 mm; the region keeps its place and size
-    assert result.fields["x"].values[-1] == pytest.approx(75.0, rel=0.01)
-    single = result.fields["single"].values
-    # a stripe's amplitude of 500 DN in 0.1 s, twice; measured -1.9 %: the resampling's blur
-    assert np.nanmedian(single) == pytest.approx(1.0e4, rel=0.03)

@@ -141,7 +141,7 @@ def test_black_is_subtracted_from_real_stripes(procam: labrig.Result, real_data:
     np.testing.assert_array_equal(values(procam, "white")[lit], (white - black)[lit])
 
 
-def test_closure_of_real_stripes_is_the_light_lost_to_their_fineness(
+def test_closure_of_real_stripes_is_the_additivity_of_the_capture(
     procam: labrig.Result,
 ) -> None:
     gap = values(procam, "closure")[values(procam, "white") > 30.0]

@@ -16,7 +16,14 @@ SBRM, SIRM, MANIFEST, DESCRIPTION, FEATURES = 0x10000, 0x20000, 0x30000, 0x40000
 CONTROL_MAGIC, LEADER_MAGIC, TRAILER_MAGIC = 0x43563355, 0x4C563355, 0x54563355
 READ, READ_ACK, WRITE, WRITE_ACK = 0x800, 0x801, 0x802, 0x803
 CONTROL_IN, STREAM_IN = 1, 2
-MONO8, MONO16 = 0x01080001, 0x01100007
+# name in the GenICam standard: number and bits of a pixel
+FORMATS = {
+    "Mono8": (0x01080001, 8),
+    "Mono10": (0x01100003, 10),
+    "Mono12": (0x01100005, 12),
+    "Mono16": (0x01100007, 16),
+}
+BITS = dict(FORMATS.values())
 SIDES = {"Width": (0, 64, 320), "Height": (4, 48, 240)}
 REGISTERS = {
     "Width": 0x00,
@@ -35,7 +42,7 @@ REGISTERS = {
     "ExposureMicroseconds": 0x34,
 }
 ENUMERATIONS = {
-    "PixelFormat": {"Mono8": MONO8, "Mono16": MONO16},
+    "PixelFormat": {name: number for name, (number, _) in FORMATS.items()},
     "AcquisitionMode": {"Continuous": 0, "SingleFrame": 1},
     "TriggerSelector": {"FrameStart": 0},
     "TriggerMode": {"Off": 0, "On": 1},
@@ -101,7 +108,7 @@ def description() -> bytes:
 
 
 class U3vCamera(UsbDevice):
-    """Mono8 and Mono16, software trigger and free run; ``light`` is full scales a second."""
+    """Mono8 to Mono16, software trigger and free run; ``light`` is full scales a second."""
 
     vendor_id = 0x1E10
     product_id = 0x3300
@@ -136,7 +143,7 @@ class U3vCamera(UsbDevice):
         for name, value in (
             ("Width", MAX_WIDTH),
             ("Height", MAX_HEIGHT),
-            ("PixelFormat", MONO8),
+            ("PixelFormat", FORMATS["Mono8"][0]),
             ("ExposureMicroseconds", 10000),
         ):
             self._put(FEATURES + REGISTERS[name], "<I", value)
@@ -192,7 +199,7 @@ class U3vCamera(UsbDevice):
 
     def _expose(self) -> None:
         width, height, layout = (self._get(n) for n in ("Width", "Height", "PixelFormat"))
-        full, kind = (65535, "<u2") if layout == MONO16 else (255, "u1")
+        full, kind = 2 ** BITS[layout] - 1, "<u2" if BITS[layout] > 8 else "u1"
         light = self._light(height, width) * self._get("ExposureMicroseconds") * 1e-6
         picture = np.rint(np.clip(light, 0.0, 1.0) * full).astype(kind).tobytes()
         self._frames += 1
@@ -213,7 +220,7 @@ class U3vCamera(UsbDevice):
         ]
 
     def _payload(self) -> int:
-        n_bytes = 2 if self._get("PixelFormat") == MONO16 else 1
+        n_bytes = 2 if BITS[self._get("PixelFormat")] > 8 else 1
         return self._get("Width") * self._get("Height") * n_bytes
 
     def _get(self, name: str) -> int:

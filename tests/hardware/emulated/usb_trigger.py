@@ -48,7 +48,7 @@ class UsbTriggerDevice(UsbDevice):
         if not self._answers:
             return None
         piece = bytes(self._answers[:length])
-        del self._answers[:length]
+        del self._answers[: len(piece)]  # no more: another thread adds to them
         return piece
 
     def clear_halt(self, endpoint: int) -> None:

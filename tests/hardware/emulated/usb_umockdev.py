@@ -10,6 +10,7 @@ import errno
 import gc
 import struct
 import threading
+import time
 
 import gi
 
@@ -60,15 +61,11 @@ class Port(UMockdev.IoctlBase):
         self._done: list[UMockdev.IoctlData] = []
         self._pending: list[_Pending] = []
         self._lock = threading.RLock()
-        device.ready = self._pump
 
     def unplug(self) -> None:
         """Pull the device out: what is under way ends with an error, as the kernel does it."""
         with self._lock:
             self._unplugged = True
-            for pending in self._pending:
-                self._finish(pending.urb, -errno.ESHUTDOWN, 0)
-            self._pending.clear()
 
     def do_handle_ioctl(self, client: UMockdev.IoctlClient) -> bool:
         """Answer one ioctl of libusb."""
@@ -81,15 +78,20 @@ class Port(UMockdev.IoctlBase):
         return True
 
     def _answer(self, request: int, arg: UMockdev.IoctlData) -> tuple[int, int]:
+        reaping = request in (REAP_URB, REAP_URB_NO_DELAY)
         with self._lock:
-            if self._unplugged and not (request in (REAP_URB, REAP_URB_NO_DELAY) and self._done):
+            # Here and nowhere else is the memory of libusb written: umockdev sends what is written
+            # over the same stream as its answers, and two threads would mix them.
+            self._pump()
+            if self._unplugged and not (reaping and self._done):
                 return -1, errno.ENODEV
             if request == SUBMIT_URB:
                 self._submit(arg.resolve(0, URB_BYTES))
             elif request == DISCARD_URB:
                 return self._discard(arg.resolve(0, URB_BYTES).client_addr)
-            elif request in (REAP_URB, REAP_URB_NO_DELAY):
+            elif reaping:
                 if not self._done:
+                    time.sleep(1e-3)  # libusb asks at once again, and would starve who is to answer
                     return -1, errno.EAGAIN
                 arg.resolve(0, 8).set_ptr(0, self._done.pop(0))
             else:
@@ -122,7 +124,6 @@ class Port(UMockdev.IoctlBase):
             self._control(urb, buffer)
         elif raw[1] & 0x80:
             self._pending.append(_Pending(urb, buffer, raw))
-            self._pump()
         else:
             taken = self._device.bulk_out(raw[1], bytes(buffer.retrieve()))
             self._finish(urb, 0 if taken else -errno.EPIPE, length if taken else 0)
@@ -148,13 +149,17 @@ class Port(UMockdev.IoctlBase):
         return -1, errno.EINVAL
 
     def _pump(self) -> None:
-        with self._lock:
-            for pending in list(self._pending):
-                answer = self._device.bulk_in(pending.endpoint, pending.length)
-                if answer is not None:
-                    self._pending.remove(pending)
-                    pending.buffer.update(0, answer)
-                    self._finish(pending.urb, 0, len(answer))
+        """Answer what waits; libusb asks again and again while anything does."""
+        for pending in list(self._pending):
+            if self._unplugged:
+                self._pending.remove(pending)
+                self._finish(pending.urb, -errno.ESHUTDOWN, 0)
+                continue
+            answer = self._device.bulk_in(pending.endpoint, pending.length)
+            if answer is not None:
+                self._pending.remove(pending)
+                pending.buffer.update(0, answer)
+                self._finish(pending.urb, 0, len(answer))
 
     def _finish(self, urb: UMockdev.IoctlData, status: int, length: int) -> None:
         urb.update(4, struct.pack("<i", status))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 import threading
 import time
@@ -10,11 +11,13 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from emulated.usb_device import Setup, UsbDevice, configuration, interface
 
 TAIL = bytes.fromhex("00001000800000aa00389b71")
 FORMATS = {1: (b"Y800" + TAIL, 1), 2: (b"Y16 " + TAIL, 2)}
+MJPEG = 3
 CAMERA_TERMINAL, AUTO_EXPOSURE, EXPOSURE_TIME = 1, 2, 4
 MANUAL, APERTURE_PRIORITY = 1, 8
 SET_CUR, GET_CUR, GET_MIN, GET_MAX, GET_RES, GET_LEN, GET_INFO, GET_DEF = (
@@ -29,7 +32,7 @@ Light = Callable[[], NDArray[np.float64]]
 
 
 class UvcCamera(UsbDevice):
-    """Y800 and Y16 over bulk; manual exposure in units of 100 us.
+    """Y800, Y16 and MJPEG over bulk; manual exposure in units of 100 us.
 
     ``light()`` is counts a second of the 8-bit scale, (rows, cols); ``delay`` is how many whole
     frames still have the old exposure after a new one was set.
@@ -106,7 +109,7 @@ class UvcCamera(UsbDevice):
 
     def _stream_control(self, setup: Setup, sent: bytes) -> bytes | None:
         if setup.request == SET_CUR:
-            self._chosen = min(max(sent[2], 1), len(FORMATS))
+            self._chosen = min(max(sent[2], 1), MJPEG)
             if setup.value >> 8 == COMMIT:
                 with self._lock:
                     self._run += 1
@@ -114,7 +117,7 @@ class UvcCamera(UsbDevice):
                 threading.Thread(target=self._stream, args=(run,), daemon=True).start()
             return b""
         width, height = self._size
-        n_bytes = width * height * FORMATS[self._chosen][1]
+        n_bytes = width * height * FORMATS.get(self._chosen, FORMATS[1])[1]
         probe = struct.pack(
             "<HBBIHHHHHII", 1, self._chosen, 1, self._interval, 0, 0, 0, 0, 0, n_bytes, n_bytes + 2
         )
@@ -126,9 +129,7 @@ class UvcCamera(UsbDevice):
         while run == self._run:
             self._pipeline.append(self._exposure)
             exposure_s = self._pipeline[0] * UNIT_S
-            counts = np.clip(self._light() * exposure_s, 0, 255)
-            kind, scale = ("u1", 1) if self._chosen == 1 else ("<u2", 257)
-            picture = np.rint(counts * scale).astype(kind).tobytes()
+            picture = self._encoded(np.clip(self._light() * exposure_s, 0, 255))
             with self._lock:
                 if run != self._run:
                     return
@@ -140,6 +141,14 @@ class UvcCamera(UsbDevice):
             while self._payload and run == self._run and time.monotonic() < end:
                 time.sleep(0.002)
             time.sleep(self._interval * 1e-7)
+
+    def _encoded(self, counts: NDArray[np.float64]) -> bytes:
+        if self._chosen == MJPEG:
+            out = io.BytesIO()
+            Image.fromarray(np.rint(counts).astype(np.uint8)).save(out, "JPEG", quality=95)
+            return out.getvalue()
+        kind, scale = ("u1", 1) if self._chosen == 1 else ("<u2", 257)
+        return np.rint(counts * scale).astype(kind).tobytes()
 
     def _descriptors(self) -> bytes:
         width, height = self._size
@@ -156,15 +165,21 @@ class UvcCamera(UsbDevice):
             described += struct.pack(
                 "<BBBBB16sBBBBBB", 27, 0x24, 4, index, 1, guid, bits, 1, 0, 0, 0, 0
             )
-            described += struct.pack(
-                *("<BBBBBHHIIIIBI", 30, 0x24, 5, 1, 0, width, height, size * 80, size * 80),
-                *(size, self._interval, 1, self._interval),
-            )
+            described += self._frame_descriptor(5, size)
+        described += struct.pack("<11B", 11, 0x24, 6, MJPEG, 1, 0, 1, 0, 0, 0, 0)
+        described += self._frame_descriptor(7, width * height)
         head = struct.pack(
-            *("<BBBBHBBBBBBBBB", 15, 0x24, 1, 2, 15 + len(described), 0x81, 0, 3),
-            *(0, 0, 0, 1, 0, 0),
+            *("<BBBBHBBBBBBBBBB", 16, 0x24, 1, MJPEG, 16 + len(described), 0x81, 0, 3),
+            *(0, 0, 0, 1, 0, 0, 0),
         )
         association = struct.pack("<8B", 8, 11, 0, 2, 0x0E, 3, 0, 0)
         body = association + interface(0, [], (0x0E, 1, 0), control)
         body += interface(1, [0x81], (0x0E, 2, 0), head + described)
         return configuration(2, body)
+
+    def _frame_descriptor(self, kind: int, size: int) -> bytes:
+        width, height = self._size
+        return struct.pack(
+            *("<BBBBBHHIIIIBI", 30, 0x24, kind, 1, 0, width, height, size * 80, size * 80),
+            *(size, self._interval, 1, self._interval),
+        )

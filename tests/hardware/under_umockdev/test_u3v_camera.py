@@ -50,16 +50,27 @@ def collect(camera, seconds=3.0):
     return camera.collect(deadline_s=in_s(seconds), cancel=NEVER)
 
 
-def test_triggered_pictures_are_exact_in_both_formats(camera):
-    for name, full in (("Mono8", 255), ("Mono16", 65535)):
+def test_triggered_pictures_are_exact_in_every_format(camera):
+    for name, full in (("Mono8", 255), ("Mono10", 1023), ("Mono12", 4095), ("Mono16", 65535)):
         for exposure_s in (0.005, 0.01):
             camera.apply(CameraSettings(exposure_s=exposure_s, pixel_format=name))
             camera.arm("software")
             camera.trigger(deadline_s=in_s(1.0), cancel=NEVER)
             frame = collect(camera)
-            wanted = np.rint(light(240, 320) * exposure_s * full)
+            wanted = np.rint(np.clip(light(240, 320) * exposure_s, 0.0, 1.0) * full)
             np.testing.assert_array_equal(frame.pixels, wanted)
             camera.disarm()
+
+
+def test_levels_and_bits_are_those_of_the_format(plugged):
+    for name, bits in (("Mono10", 10), ("Mono12", 12)):
+        camera = GenicamCamera(GenicamSettings(device="U3V0001", pixel_format=name))
+        can = camera.open()
+        assert (can.bits, can.white_level_dn) == (bits, 2**bits - 1)
+        assert can.formats == ("Mono16", "Mono12", "Mono10", "Mono8")
+        camera.close()
+        del camera
+        gc.collect()
 
 
 def test_free_run_numbers_rise_and_a_region_is_read(camera):

@@ -6,6 +6,7 @@ from contextlib import suppress
 
 import pytest
 from emulated.firmware import compile_firmware
+from emulated.usb_device import UsbDevice, configuration, interface
 from emulated.usb_trigger import UsbTriggerDevice
 from emulated.usb_umockdev import UsbBus
 
@@ -19,10 +20,10 @@ from drivers.errors import (
     SettingRefusedError,
     TriggerNotFiredError,
 )
-from drivers.transport.usb_transfer import usb_devices
+from drivers.transport.usb_transfer import UsbLines, UsbName, usb_devices
 from drivers.trigger.protocol import TriggerSettings
 from drivers.trigger.usb import UsbTrigger
-from drivers.waiting import CancelToken
+from drivers.waiting import SLICE_S, CancelToken
 
 NEVER = CancelToken()
 
@@ -73,7 +74,7 @@ def test_pulses_are_given_and_counted(trigger, device):
     assert applied.pulse_s == pytest.approx(2e-3)
     receipts = []
     for _ in range(3):
-        receipts.append(trigger.fire(deadline_s=in_s(1.0), cancel=NEVER))
+        receipts.append(trigger.fire(deadline_s=in_s(5.0), cancel=NEVER))
         time.sleep(0.02)
     assert trigger.counters().pulses == 3
     rises = [edge for edge in device.box.unplug() if edge.high]
@@ -84,7 +85,7 @@ def test_pulses_are_given_and_counted(trigger, device):
 
 def test_make_safe_goes_beside_a_stuck_pipe(trigger, device):
     trigger.configure(TriggerSettings(pulse_s=1.0))
-    trigger.fire(deadline_s=in_s(1.0), cancel=NEVER)
+    trigger.fire(deadline_s=in_s(5.0), cancel=NEVER)
     device.mute = True
     begin = time.monotonic()
     trigger.make_safe()
@@ -119,6 +120,38 @@ def test_a_stall_is_refused_once_and_cleared(trigger, device):
     assert trigger.counters().pulses == 0
 
 
+class LateEcho(UsbDevice):
+    """Gives every line back, each a little later than the one before."""
+
+    config = configuration(1, interface(0, [0x81, 0x01], (0xFF, 0, 0)))
+
+    def __init__(self, delays_s):
+        super().__init__()
+        self._delays_s = iter(delays_s)
+        self._due_s, self._line = 0.0, None
+
+    def bulk_out(self, endpoint, sent):
+        self._due_s, self._line = time.monotonic() + next(self._delays_s), sent
+        return True
+
+    def bulk_in(self, endpoint, length):
+        if self._line is None or time.monotonic() < self._due_s:
+            return None
+        line, self._line = self._line, None
+        return line
+
+
+def test_an_answer_at_the_end_of_a_slice_of_waiting_is_not_lost(bed):
+    delays_s = [SLICE_S + 2e-4 * k for k in range(-15, 16)]
+    bed.plug(LateEcho(delays_s))
+    lines = UsbLines(UsbName(vendor_id=0x1209, product_id=0x0001))
+    lines.open()
+    for n in range(len(delays_s)):
+        lines.send(b"%d\n" % n, deadline_s=in_s(1.0), cancel=NEVER)
+        assert lines.receive(deadline_s=in_s(2.0), cancel=NEVER) == b"%d" % n
+    lines.close()
+
+
 def test_unplugging_is_an_error_of_its_own_and_replugging_mends_it(bed, program, device):
     port = bed.plug(device)
     trigger = UsbTrigger()
@@ -130,7 +163,7 @@ def test_unplugging_is_an_error_of_its_own_and_replugging_mends_it(bed, program,
         end = time.monotonic() + 3.0
         while time.monotonic() < end:
             with suppress(TriggerNotFiredError):  # the pulse before is still under way
-                trigger.fire(deadline_s=in_s(1.0), cancel=NEVER)
+                trigger.fire(deadline_s=in_s(5.0), cancel=NEVER)
 
     with pytest.raises(DeviceLostError, match="gone"):
         fire_on()
@@ -157,7 +190,10 @@ def test_two_of_a_kind_are_told_apart_by_serial_number(bed, program):
     trigger = UsbTrigger(serial="B2")
     trigger.open()
     trigger.configure(TriggerSettings())
-    trigger.fire(deadline_s=in_s(1.0), cancel=NEVER)
+    trigger.fire(deadline_s=in_s(5.0), cancel=NEVER)
+    time.sleep(trigger.snapshot()["pulse_s"])
+    for _ in range(2):  # the firmware's loop has gone round since, and has ended the pulse
+        trigger.counters()
     trigger.close()
     assert len(usb_devices()) == 2
     edges = [device.box.unplug() for device in devices]

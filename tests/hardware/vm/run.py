@@ -92,15 +92,18 @@ def boot(kernel: Path, initrd: Path, scratch: Path, arguments: list[str]) -> int
     shared = scratch / "out"
     shared.mkdir()
     # vivid first, while it is the one camera
-    names = ("test_vivid.py", "test_uvc.py", "test_usb_ports.py")
-    tests = " ".join(arguments or [str(HERE / "guest" / name) for name in names])
+    names = ("test_vivid.py", "test_uvc.py", "test_session.py", "test_usb_ports.py")
+    behaviour = f"{ROOT}/tests/behaviour/test_every_camera.py --confcutdir={ROOT}/tests/behaviour"
+    guest = " ".join(str(HERE / "guest" / name) for name in names)
+    runs = [" ".join(arguments)] if arguments else [behaviour, f"{guest} --confcutdir={HERE}"]
+    pytest = f"{sys.executable} -m pytest -q -p no:cacheprovider -o faulthandler_timeout=120"
+    tests = "\n".join(f"{pytest} --durations=8 {run} || failed=$?" for run in runs)
     (shared / "command.sh").write_text(
         "export PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LANG=C.UTF-8\n"
         f"export LABRIG_VM_KERNEL={kernel} PYTHONDONTWRITEBYTECODE=1\n"
         "/lib/systemd/systemd-udevd --daemon\n"
         f"cd {ROOT}\n"
-        f"exec {sys.executable} -m pytest {tests} -q -p no:cacheprovider --confcutdir={HERE}"
-        " --durations=8 -o faulthandler_timeout=120\n"
+        f"failed=0\n{tests}\nexit $failed\n"
     )
     nine = "security_model=none"
     command = [

@@ -1,5 +1,6 @@
 """The V4L2 camera under the real uvcvideo: exposure that takes effect late, unplug and replug."""
 
+import dataclasses
 import threading
 import time
 from pathlib import Path
@@ -84,6 +85,26 @@ def test_the_picture_is_exact_in_both_formats(camera):
             frame = camera.collect(deadline_s=in_s(10.0), cancel=NEVER)
         np.testing.assert_array_equal(frame.pixels, np.rint(light() * 0.01 * scale))
         camera.disarm()
+
+
+def test_compressed_pictures_are_refused_unless_allowed_and_are_then_marked(camera):
+    with pytest.raises(SettingRefusedError, match="compressed"):
+        camera.apply(CameraSettings(exposure_s=0.01, pixel_format="MJPG"))
+    camera.close()
+    settings = V4l2Settings(device=found()[0], pixel_format="MJPEG-luma")
+    with pytest.raises(SettingRefusedError, match="choose one of: Y16, GREY"):
+        V4l2Camera(settings).open()
+    allowed = V4l2Camera(dataclasses.replace(settings, allow_uncalibrated=True))
+    assert "MJPEG-luma" in allowed.open().formats
+    assert "not proportional" in allowed.snapshot()["pixel_format_note"]
+    allowed.apply(CameraSettings(exposure_s=0.01))
+    allowed.arm("free-run")
+    for _ in range(DELAY + 4):
+        frame = allowed.collect(deadline_s=in_s(10.0), cancel=NEVER)
+    allowed.close()
+    # stripes of four pixels through JPEG at quality 95
+    assert np.abs(frame.pixels - light() * 0.01).max() < 12
+    assert "compressed" in frame.extras["note"]
 
 
 def test_the_probe_measures_how_late_an_exposure_acts(camera):

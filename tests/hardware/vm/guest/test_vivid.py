@@ -23,14 +23,16 @@ from drivers.transport.v4l2_device import video_devices
 from drivers.waiting import CancelToken
 
 NEVER = CancelToken()
-DEVICE = "/dev/video0"
+DEVICE, GRABBER = "/dev/video0", "/dev/video1"
 WIDTH, HEIGHT = 640, 360
 ALTERNATING_LINES = {"test_pattern": 16, "osd_text_mode": 2}
 
 
 @pytest.fixture(scope="module", autouse=True)
 def vivid(load):
-    load("vivid", "n_devs=1", "num_inputs=1", "input_types=0", "node_types=0x1")
+    # a webcam, and an HDMI grabber, which alone can cut a region out
+    words = ("n_devs=2", "num_inputs=1,1", "input_types=0x0,0x3", "node_types=0x1,0x1")
+    load("vivid", *words)
 
 
 def in_s(seconds):
@@ -126,6 +128,27 @@ def test_a_region_is_refused_where_the_camera_offers_none(camera):
         camera.apply(CameraSettings(exposure_s=interval_s, roi=(64, 32, 320, 180)))
     camera.arm("free-run")
     assert collect(camera).pixels.shape == (HEIGHT, WIDTH)
+
+
+def test_a_region_is_cut_out_where_the_camera_offers_it_and_given_back():
+    camera = V4l2Camera(V4l2Settings(device=GRABBER, pixel_format="GREY"))
+    can = camera.open()
+    try:
+        interval_s = camera.snapshot()["format"]["interval_s"]
+        applied = camera.apply(CameraSettings(exposure_s=interval_s, roi=(64, 32, 320, 180)))
+        assert applied.roi == (64, 32, 320, 180)
+        camera.arm("free-run")
+        assert collect(camera).pixels.shape == (180, 320)
+        with pytest.raises(SettingRefusedError, match="while it streams"):
+            camera.apply(CameraSettings(exposure_s=interval_s))
+        camera.disarm()
+        with pytest.raises(SettingRefusedError, match="region"):
+            camera.apply(CameraSettings(exposure_s=interval_s, roi=(0, 0, 99999, 180)))
+    finally:
+        camera.close()
+    again = V4l2Camera(V4l2Settings(device=GRABBER, size=(can.cols, can.rows)))
+    assert again.open().rows == can.rows
+    again.close()
 
 
 def test_flush_empties_and_later_frames_are_newer(camera):
@@ -237,7 +260,7 @@ def test_the_device_has_one_stream_and_one_owner(camera):
 
 
 def test_what_is_there_is_listed_and_what_is_not_is_said(tmp_path):
-    assert [path for path, _ in video_devices()] == [DEVICE]
+    assert [path for path, _ in video_devices()] == [DEVICE, GRABBER]
     for path in ("/dev/video9", "/dev/null"):
         with pytest.raises(DeviceNotFoundError):
             V4l2Camera(V4l2Settings(device=path)).open()
