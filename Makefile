@@ -38,6 +38,10 @@ figures: install  ## the pictures of the README, from a run of the demo and of l
 	    build/figures/*/*/results/*/figures/light-field.png docs/images/
 	@$(BIN)/labrig accuracy solver configs/scenes/dilute-milk.yaml --out build/figures/accuracy
 	@cp build/figures/accuracy/solver.png docs/images/accuracy-cost.png
+	@$(BIN)/labrig accuracy scene configs/scenes/slanted-beam.yaml \
+	    --plan configs/plans/six-shifts.yaml --out build/figures/accuracy
+	@cp build/figures/accuracy/scene.png docs/images/realism-cost.png
+	@$(BIN)/python docs/examples/gallery.py docs/images/gallery.png
 
 hardware-packages:  ## Debian packages that the tests of the drivers need
 	apt-get install -qy --no-install-recommends $(HARDWARE_PACKAGES)
