@@ -98,6 +98,38 @@ class Tank:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Slab:
+    """A layer of liquid of even height, seen from above: the floor is black, the surface is free.
+
+    Attributes
+    ----------
+    depth_mm : from the lit face to the far wall, both of which let light out and none in
+    height_mm : from the floor to the surface
+    surface_index : index of refraction of the liquid relative to what is above it; one for a
+        surface that reflects nothing
+    """
+
+    depth_mm: float
+    height_mm: float
+    surface_index: float = 1.0
+
+    def __post_init__(self) -> None:
+        _refuse_non_finite(self)
+        if min(self.depth_mm, self.height_mm) <= 0.0:
+            msg = (
+                f"a slab of depth {self.depth_mm} and height {self.height_mm} mm holds no liquid; "
+                "measure both, they must be positive."
+            )
+            raise AnalysisError(msg)
+        if self.surface_index < 1.0:
+            msg = (
+                f"surface_index = {self.surface_index} is below one: liquid under air has about "
+                "1.33, a surface that reflects nothing has 1."
+            )
+            raise AnalysisError(msg)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Beam:
     """Parallel light entering at x = 0 between two heights.
 

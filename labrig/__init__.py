@@ -17,14 +17,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from labrig import board as _board
-from labrig import calibration_run as _calibration_run
 from labrig import calibration_store as _calibration_store
 from labrig import capturing as _capturing
 from labrig import config as _config
 from labrig import importing as _importing
-from labrig import pipeline as _pipeline
 from labrig import results as _results
 from labrig import rig as _rig
 from labrig import session as _session
@@ -34,12 +32,27 @@ from labrig.models.calibration import BoardFile, RecordFile
 from labrig.models.plan import Plan
 from labrig.models.rig import Rig
 from labrig.models.scene import Scene
+from labrig.models.series import Concentrations
 from labrig.pipeline import Until
 from labrig.results import Result
 from labrig.rig import OpenRig
 from labrig.session import Problem, Session
-from labrig.solving import Cost, Solved, explain, write_solution
-from labrig.solving import solve_scene as solve
+
+if TYPE_CHECKING:
+    from labrig.pipeline import Until
+    from labrig.solving import Cost, Solved, explain, write_solution
+    from labrig.solving import solve_scene as solve
+else:
+
+    def __getattr__(name: str) -> Any:
+        """Load the solver when it is asked for: single scattering alone has no need of it."""
+        if name not in _SOLVING:
+            msg = f"module 'labrig' has no attribute {name!r}"
+            raise AttributeError(msg)
+        from labrig import solving  # noqa: PLC0415
+
+        return getattr(solving, _SOLVING[name])
+
 
 __all__ = [
     "Analysis",
@@ -66,6 +79,7 @@ __all__ = [
     "open_rig",
     "read_calibration",
     "read_results",
+    "reopen_rig",
     "report",
     "report_calibration",
     "resume",
@@ -76,6 +90,8 @@ __all__ = [
 
 StrPath = str | PathLike[str]
 Counted = Callable[[int, int], None]
+_SOLVING = {"solve": "solve_scene"}
+_SOLVING |= {name: name for name in ("Cost", "Solved", "explain", "write_solution")}
 
 
 def load_plan(path: StrPath) -> Plan:
@@ -91,6 +107,11 @@ def load_rig(path: StrPath) -> Rig:
 def load_scene(path: StrPath) -> Scene:
     """Read a scene file; raise `labrig.errors.ConfigError` naming file and key."""
     return _config.load(Path(path), Scene)
+
+
+def load_series(path: StrPath) -> Concentrations:
+    """Read the concentrations of a series; raise `labrig.errors.ConfigError` if it is none."""
+    return _config.load(Path(path), Concentrations)
 
 
 def load_analysis(path: StrPath) -> Analysis:
@@ -156,20 +177,44 @@ def capture(plan: Plan, rig: OpenRig, out: StrPath, *, progress: Counted | None 
     return _capturing.capture(plan, rig, Path(out), progress=progress)
 
 
-def resume(session: StrPath, *, progress: Counted | None = None) -> Path:
-    """Take the shots that an interrupted session of a simulated rig lacks; return its folder.
+def reopen_rig(
+    session: StrPath, rig: StrPath | None = None, *, progress: Counted | None = None
+) -> OpenRig:
+    """Open the rig that a session was begun with, ready for its plan; use it in a ``with`` block.
+
+    Parameters
+    ----------
+    rig : rig file, where a port has another name now or the latency was measured anew;
+        else the rig as the session keeps it
+
+    Raises
+    ------
+    labrig.errors.LabrigError, drivers.errors.DriverError
+        If the session cannot be trusted, or a device is not there.
+    """
+    path = Path(session)
+    header = _session.Session.open(path).header
+    kept, scene, latency = _capturing.rig_of(header, path)
+    if rig is not None:
+        kept, latency = load_rig(rig), _config.latency_beside(Path(rig))
+    plan = _capturing.plan_of(header, path)
+    return _rig.open_rig(kept, scene, plan, latency=latency, progress=progress)
+
+
+def resume(
+    session: StrPath, rig: StrPath | None = None, *, progress: Counted | None = None
+) -> Path:
+    """Take the shots that an interrupted session lacks; return its folder.
+
+    ``rig`` is as in `reopen_rig`.
 
     Raises
     ------
     labrig.errors.LabrigError, drivers.errors.DriverError
         If the session cannot be trusted, is complete, or the rig is another one.
     """
-    path = Path(session)
-    header = _session.Session.open(path).header
-    rig, scene, latency = _capturing.rig_of(header, path)
-    plan = _capturing.plan_of(header, path)
-    with _rig.open_rig(rig, scene, plan, latency=latency) as opened:
-        return _capturing.resume(path, opened, progress=progress)
+    with reopen_rig(session, rig) as opened:
+        return _capturing.resume(Path(session), opened, progress=progress)
 
 
 def import_session(manifest: StrPath, out: StrPath, *, progress: Counted | None = None) -> Path:
@@ -198,9 +243,11 @@ def analyse(
     labrig.errors.LabrigError, analysis.errors.AnalysisError, calibration.errors.CalibrationError
         Where no trustworthy answer exists.
     """
+    from labrig import pipeline  # noqa: PLC0415 - loads the solver
+
     if config is not None and not isinstance(config, Analysis):
         config = load_analysis(config)
-    return _pipeline.analyse(
+    return pipeline.analyse(
         Path(session),
         config,
         until=until,
@@ -230,7 +277,9 @@ def calibrate(
     labrig.errors.LabrigError, calibration.errors.CalibrationError
         If the session does not hold what the kind needs, or nothing trustworthy comes of it.
     """
-    record = _calibration_run.calibrate(
+    from labrig import calibration_run  # noqa: PLC0415 - loads OpenCV
+
+    record = calibration_run.calibrate(
         kind,
         Path(session),
         out=None if out is None else Path(out),
@@ -263,8 +312,10 @@ def draw_board(out: StrPath, **sizes: float) -> tuple[Path, ...]:
     labrig.errors.LabrigError, calibration.errors.CalibrationError
         If the sizes make no board, or the place cannot be written.
     """
+    from labrig import board  # noqa: PLC0415 - loads OpenCV
+
     content = {"schema": "labrig-board/1", **sizes}
-    return _board.draw_board(Path(out), _config.parse(content, BoardFile, source="board"))
+    return board.draw_board(Path(out), _config.parse(content, BoardFile, source="board"))
 
 
 def report(

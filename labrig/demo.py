@@ -8,7 +8,6 @@ from pathlib import Path
 
 import labrig
 from labrig.config import config_folder
-from labrig.pipeline import STAGES
 
 Counted = Callable[[str, int, int], None]
 
@@ -42,6 +41,8 @@ def run(
     scene : scene file; else the paper's diluted milk
     progress : called with (what, done, all)
     """
+    from labrig.pipeline import STAGES  # noqa: PLC0415 - loads the solver
+
     folder = config_folder()
     milk = labrig.load_scene(scene or folder / "scenes" / "dilute-milk.yaml")
     plan = labrig.load_plan(folder / "plans" / "six-shifts.yaml")

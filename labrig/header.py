@@ -21,6 +21,7 @@ def header_of(expanded: CapturePlan, rig: OpenRig, operator: str | None) -> dict
         "setup": setup_of(expanded.plan, rig).model_dump(mode="json"),
         "devices": rig.snapshot(),
         "simulated": rig.simulated,
+        "simulation": rig.simulation,
         "operator": operator,
         "calibration": {}
         if latency is None
@@ -47,7 +48,7 @@ def setup_of(plan: Plan, rig: OpenRig) -> Setup:
             },
             "geometry": rig.config.geometry.model_dump(),
             "tank": rig.scene.tank.model_dump(),
-            "beam": rig.scene.beam.model_dump(),
+            "beam": rig.scene.beam_inside().model_dump(),
             "stripes": StripesConfig(
                 period_px=stripes.period_px, low=levels[0], high=levels[1], levels=grey
             ).model_dump(),

@@ -48,10 +48,11 @@ def linearise(
     known = known or Corrections(camera=setup.camera.record())
     camera = known.camera
     by_picture: dict[str, list[Shot]] = defaultdict(list)
-    for shot in _shots(session):
+    for shot in shots_of(session):
         by_picture[shot.role if shot.shift is None else f"{shot.role}-{shot.shift}"].append(shot)
     darks = _dark_levels(session, by_picture.pop("dark", []), camera)
     shift_names(session)
+    _refuse_mixed_patterns(session, by_picture)
 
     def offset(exposure_s: float) -> Offset:
         if known.dark is not None:
@@ -72,6 +73,18 @@ def linearise(
         for name, shots in by_picture.items()
         if shots[0].role in LIGHT
     }
+
+
+def _refuse_mixed_patterns(session: Session, by_picture: Mapping[str, list[Shot]]) -> None:
+    """Pictures of one name are merged; those of other stripes must not be among them."""
+    for name, shots in by_picture.items():
+        patterns = {shot.pattern for shot in shots if shot.pattern is not None}
+        if len(patterns) > 1:
+            msg = (
+                f"session {session.path.name}: {name} was taken with {len(patterns)} patterns; "
+                "only stripes of one period can be analysed together."
+            )
+            raise AnalysisRefusedError(msg)
 
 
 def _refuse_mixed_segments(session: Session) -> None:
@@ -118,7 +131,8 @@ def _dark_levels(session: Session, darks: list[Shot], camera: CameraModel) -> di
     return {exposure_s: float(np.mean(found)) for exposure_s, found in levels.items()}
 
 
-def _shots(session: Session) -> list[Shot]:
+def shots_of(session: Session) -> list[Shot]:
+    """Return the shots that a session names."""
     source = f"session {session.path.name}"
     return [parse(r, Shot, source=f"{source}: shot {r['id']!r}") for r in session.shots]
 
@@ -131,7 +145,7 @@ def shift_names(session: Session) -> list[str]:
     AnalysisRefusedError
         If shifts of a period are missing, or there are none or several series.
     """
-    stripes = [shot for shot in _shots(session) if shot.role == "stripes"]
+    stripes = [shot for shot in shots_of(session) if shot.role == "stripes"]
     series = {shot.shifts for shot in stripes if shot.shifts is not None}
     if not stripes:
         msg = f"session {session.path.name} holds no stripe pictures; nothing can be separated."
@@ -152,50 +166,3 @@ def shift_names(session: Session) -> list[str]:
         )
         raise AnalysisRefusedError(msg)
     return [f"stripes-{k}" for k in range(n)]
-
-
-def notes_of(
-    session: Session, setup: Setup, radiances: Mapping[str, Radiance], known: Corrections
-) -> list[str]:
-    """Return what was missing in a session, and what was done instead."""
-    notes = list(known.notes)
-    if not session.sealed:
-        notes.append("The session was interrupted: it is not sealed.")
-    if known.camera.floor_variance_dn2 is None:
-        notes.append(
-            "Gain or read noise of the camera is unknown: no variance map, no detection limit; "
-            "standard deviations come from the scatter of rows."
-        )
-    if setup.geometry.mm_per_px is None and known.view is None:
-        notes.append("The scale of the picture is unknown: lengths are in px.")
-    if "black" not in radiances:
-        instead, remains = (
-            ("the ambient picture", "the projector's leak remains")
-            if "ambient" in radiances
-            else ("nothing", "the projector's leak and ambient light remain")
-        )
-        notes.append(
-            f"There is no black picture: {instead} was subtracted; {remains} in the multiple "
-            "scattering."
-        )
-    if "white" not in radiances:
-        notes.append("There is no white picture: no closure, and no fit without separation.")
-    roles = {shot.role for shot in _shots(session)}
-    if "dark" not in roles and known.dark is None:
-        notes.append("There are no dark frames: the declared black level is the offset.")
-    if "flat" in roles and known.flat is None:
-        notes.append("Flat frames are in the session: make a record of them and name it.")
-    notes += _short_exposures(session, known)
-    return notes
-
-
-def _short_exposures(session: Session, known: Corrections) -> list[str]:
-    """Return a note on exposures of which the shutter's offset is more than 1 percent."""
-    offset_s = known.camera.shutter_offset_s
-    short = sorted({s.exposure_s for s in _shots(session) if abs(offset_s) > 0.01 * s.exposure_s})
-    if not short:
-        return []
-    times = ", ".join(f"{t:g}" for t in short)
-    return [
-        f"The shutter's offset of {1e6 * offset_s:.1f} us exceeds 1 % of the exposures {times} s."
-    ]

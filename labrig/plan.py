@@ -57,7 +57,7 @@ def bracket_of(plan: Plan, rig: Rig) -> tuple[float, ...]:
     """
     bracket = plan.exposures.bracket_s
     if bracket is None:
-        msg = f"plan {plan.name!r}: an automatic bracket is found by a probe of the open rig."
+        msg = f"plan {plan.name!r}: an automatic bracket is found on the open rig: --probe."
         raise PlanError(msg)
     if plan.exposures.snap_to == "nothing":
         return bracket
@@ -154,15 +154,21 @@ def _digest(shots: list[Shot]) -> str:
 
 
 def stripes_of(plan: Plan) -> StripesPattern:
-    """Return the plan's stripes.
+    """Return the plan's stripes, the finest if there are several.
 
     Raises
     ------
     PlanError
-        If the plan has none, or several that differ.
+        If the plan has none.
     """
-    found = {s.pattern for s in plan.sets if isinstance(s.pattern, StripesPattern)}
-    if len(found) != 1:
-        msg = f"plan {plan.name!r} has {len(found)} kinds of stripes; one is wanted."
+    found = kinds_of_stripes(plan)
+    if not found:
+        msg = f"plan {plan.name!r} has 0 kinds of stripes; one or more are wanted."
         raise PlanError(msg)
-    return found.pop()
+    return found[0]
+
+
+def kinds_of_stripes(plan: Plan) -> tuple[StripesPattern, ...]:
+    """Return the different stripes of a plan, the finest first."""
+    found = {s.pattern for s in plan.sets if isinstance(s.pattern, StripesPattern)}
+    return tuple(sorted(found, key=lambda s: (s.period_px, -s.shifts, s.axis, s.low, s.high)))

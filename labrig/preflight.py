@@ -14,7 +14,7 @@ from labrig.estimate import bytes_of
 from labrig.models.latency import LatencyRecord
 from labrig.models.plan import Plan
 from labrig.models.rig import Rig
-from labrig.plan import CapturePlan, stripes_of
+from labrig.plan import CapturePlan, kinds_of_stripes
 
 RESERVE_SHARE = 1.1  # of the bytes a session takes: journal, results and the file system's own
 _WISH = re.compile(r"\s*([a-z_]+\.[a-z_]+)\s*(?:(>=|<=|==|>|<)\s*([0-9.eE+-]+))?\s*")
@@ -58,7 +58,7 @@ def refuse(verdicts: list[Verdict]) -> None:
 
 
 def _axis(expanded: CapturePlan) -> Verdict:
-    if stripes_of(expanded.plan).axis == "x":
+    if all(stripes.axis == "x" for stripes in kinds_of_stripes(expanded.plan)):
         return Verdict(name="axis", ok=True, text="the stripes vary along the projector's x")
     text = (
         f"plan {expanded.plan.name!r} has stripes along axis y of the projector; this rig maps "

@@ -13,8 +13,9 @@ from calibration.geometry import Lens, Plane, Resampling, resampling
 from calibration.hdr import Radiance
 from labrig.corrections import Corrections
 from labrig.errors import AnalysisRefusedError
-from labrig.linearise import notes_of, shift_names
+from labrig.linearise import shift_names, shots_of
 from labrig.models.setup import Setup, StripesConfig
+from labrig.picture_notes import notes_of
 from labrig.session import Session
 
 Array = NDArray[np.float64]
@@ -116,7 +117,7 @@ def rectify(
     shifts = shift_names(session)
     shape = _common_shape(radiances, session)
     known = known or Corrections(camera=setup.camera.record())
-    notes = notes_of(session, setup, radiances, known)
+    notes = notes_of(session, shots_of(session), setup, frozenset(radiances), known)
     position, angle = _position(setup, known), None
     setup = _from_face(setup, known, shape)
     if known.view is not None:

@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera.protocol import Camera, CameraCapabilities, TriggerMode
-from drivers.camera.simulated import Sensor, SimulatedCamera
+from drivers.camera.simulated import SimulatedCamera
 from drivers.projector.protocol import Image, PatternHandle, Projector, ProjectorCapabilities
 from drivers.projector.simulated import SimulatedProjector
 from drivers.simulation.clock import VirtualClock
 from drivers.simulation.faults import Fault, FaultScript
-from drivers.simulation.lamp import Lamp
 from drivers.simulation.world import World
 from drivers.trigger.protocol import Trigger, TriggerSettings
 from drivers.trigger.simulated import SimulatedTrigger
@@ -34,7 +33,6 @@ from labrig.models.rig import (
     SimulatedTriggerConfig,
 )
 from labrig.models.scene import Scene
-from labrig.plan import stripes_of
 from labrig.real_devices import (
     RealWorld,
     ask_operator,
@@ -43,7 +41,7 @@ from labrig.real_devices import (
     make_trigger,
 )
 from labrig.scene.picture import Picture, Truth
-from labrig.scene.response import tank_response
+from labrig.scene.pipeline import lamp_of, see, sensor_of
 from labrig.simulated_disk import SimulatedDisk
 
 TRIGGER_MODES: dict[str, TriggerMode] = {
@@ -70,6 +68,7 @@ class OpenRig:
     picture: Picture | None
     latency: LatencyRecord | None
     disk: Disk
+    simulation: dict[str, Any] | None
     _world: World | RealWorld
 
     @property
@@ -120,7 +119,7 @@ class OpenRig:
         if self.picture is None:
             msg = f"rig {self.config.name!r} is real: what its light is made of is not known."
             raise RunError(msg)
-        return self.picture.truth(self.config.projector.black_level)
+        return self.picture.truth(self.picture.black_level)
 
     def snapshot(self) -> dict[str, Any]:
         """Return identities and settings of all devices, read back."""
@@ -203,28 +202,36 @@ def open_rig(
     RunError, PlanError, DriverError
         If scene, rig and plan do not fit one another.
     """
-    stripes = stripes_of(plan)
     if not isinstance(rig.camera, SimulatedCameraConfig):
         return _connect_real(rig, scene, latency)
-    response = tank_response(
-        scene, period_mm=stripes.period_px * rig.projection.mm_per_px, progress=progress
-    )
-    picture = Picture(scene, rig, response, period_px=stripes.period_px)
-    return connect(rig, scene, picture, latency)
+    seen = see(scene, rig, plan, progress=progress)
+    return connect(rig, scene, seen.picture, latency, simulation=seen.summary())
 
 
 def connect(
-    rig: Rig, scene: Scene, picture: Picture, latency: LatencyRecord | None = None
+    rig: Rig,
+    scene: Scene,
+    picture: Picture,
+    latency: LatencyRecord | None = None,
+    *,
+    simulation: dict[str, Any] | None = None,
 ) -> OpenRig:
-    """Open the devices of a simulated rig that sees a picture."""
+    """Open the devices of a simulated rig that sees a picture.
+
+    ``simulation`` says how the picture was made; without it lamp, leak and sensor are the rig's.
+    """
     if not (
         isinstance(rig.camera, SimulatedCameraConfig)
         and isinstance(rig.projector, SimulatedProjectorConfig)
     ):
         msg = f"rig {rig.name!r} mixes simulated and real devices; they do not see one another."
         raise RunError(msg)
-    world = _world(rig, rig.projector, picture)
-    camera = SimulatedCamera(_sensor(rig.camera), world, seed=rig.camera.seed)
+    world, sensor = _world(rig, rig.projector, picture), sensor_of(rig.camera)
+    if simulation is not None:
+        parts = picture.parts
+        world.lamp, world.projector_black = parts.lamp, parts.black_level
+        sensor = parts.sensor or sensor
+    camera = SimulatedCamera(sensor, world, seed=rig.camera.seed)
     projector = SimulatedProjector(
         projector_capabilities(rig, latency),
         world,
@@ -247,6 +254,7 @@ def connect(
         picture=picture,
         latency=latency,
         disk=SimulatedDisk(world.faults),
+        simulation=simulation,
         _world=world,
     )
 
@@ -275,6 +283,7 @@ def _connect_real(rig: Rig, scene: Scene, latency: LatencyRecord | None) -> Open
         picture=None,
         latency=latency,
         disk=Disk(),
+        simulation=None,
         _world=world,
     )
 
@@ -317,12 +326,7 @@ def _world(rig: Rig, projector: SimulatedProjectorConfig, picture: Picture) -> W
         light=picture.light,
         projector_black=rig.projector.black_level,
         clock=VirtualClock() if simulation.clock == "virtual" else MonotonicClock(),
-        lamp=Lamp(**simulation.lamp.model_dump()),
+        lamp=lamp_of(rig),
         fade_s=projector.fade_s,
         faults=FaultScript(Fault(**fault.model_dump()) for fault in simulation.faults),
     )
-
-
-def _sensor(c: SimulatedCameraConfig) -> Sensor:
-    figures = c.model_dump(include=set(Sensor.__dataclass_fields__))
-    return Sensor(**figures, reports_exposure=c.exposure_report == "per-frame")

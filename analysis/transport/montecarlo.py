@@ -63,6 +63,23 @@ class SampledField:
         return _relative_noise(self.fluence, self.std_error)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Walls:
+    """What makes a tank other than black, and its stripes less sharp with depth.
+
+    Attributes
+    ----------
+    face_index : refractive index of the medium at the lit face, whose other side is air
+    reflectance : of the other walls, which are mirrors
+    blur_mm, growth : standard deviation of the stripes' blur at the face, and per mm of depth
+    """
+
+    face_index: float = 1.0
+    reflectance: float = 0.0
+    blur_mm: float = 0.0
+    growth: float = 0.0
+
+
 def simulate(
     medium: Medium,
     tank: Tank,
@@ -77,6 +94,7 @@ def simulate(
     angular_bounces: tuple[int, ...] = (),
     n_theta: int = 64,
     until_std_error: float | None = None,
+    walls: Walls | None = None,
     n_threads: int = 2,
     progress: Callable[[int, int], None] | None = None,
 ) -> SampledField:
@@ -89,6 +107,7 @@ def simulate(
     angular_bounces : bounces whose radiance is wanted in ``n_theta`` angle bins
     until_std_error : stop once the relative noise of every order is below this; ``n_paths`` is
         then the most that are followed. The answer is the one that this number of paths gives
+    walls : what gives light back, and a blur that grows; None for black walls and even stripes
     progress : called with (batches done, batches in all), from the start in each round
 
     Raises
@@ -105,6 +124,9 @@ def simulate(
     each bounce, cell and bin.
     """
     _refuse(medium, n_bounces, n_paths, cell_mm, angular_bounces, n_theta)
+    if walls is not None and angular_bounces:
+        msg = "the light field of a tank that is not black is not sampled; ask for none."
+        raise AnalysisError(msg)
     if until_std_error is not None and not until_std_error > 0.0:
         msg = f"until_std_error = {until_std_error}: the noise asked for must be positive."
         raise AnalysisError(msg)
@@ -122,6 +144,7 @@ def simulate(
             harmonics=harmonics,
             angular_bounces=angular_bounces,
             n_theta=n_theta,
+            walls=walls,
         )
         for number in range(N_BATCHES)
     ]
@@ -129,7 +152,7 @@ def simulate(
     n_batch = most if until_std_error is None else min(most, FIRST_PATHS)
     while True:
         _run_all(batches, n_batch, n_threads, progress)
-        fluence, std_error = _mean_and_error([batch.scores for batch in batches])
+        fluence, std_error = mean_and_error([batch.scores for batch in batches])
         if until_std_error is None or n_batch == most:
             break
         excess = float(_relative_noise(fluence, std_error).max()) / until_std_error
@@ -141,7 +164,7 @@ def simulate(
     # Irradiance is counted across the beam: a slanted one brings its cosine to the face.
     power = float(np.trapezoid(irradiance, y_points)) * math.cos(math.radians(beam.angle_deg))
     weight = power / (n_batch * (tank.depth_mm / n_x) * (tank.width_mm / n_y))
-    radiance, radiance_error = _mean_and_error([batch.lobes for batch in batches])
+    radiance, radiance_error = mean_and_error([batch.lobes for batch in batches])
     per_bin = weight * n_theta / (2.0 * math.pi)
     return SampledField(
         fluence=weight * fluence,
@@ -195,6 +218,7 @@ class _Batch:
         harmonics: tuple[int, ...],
         angular_bounces: tuple[int, ...],
         n_theta: int,
+        walls: Walls | None,
     ) -> None:
         n_orders, n_y, n_x = shape
         power = power_removed(medium.g, medium.phase)
@@ -203,7 +227,7 @@ class _Batch:
         )
         self._tank = np.array([tank.depth_mm, tank.width_mm], dtype=np.float64)
         self._angle = math.radians(beam.angle_deg)
-        self._entry = _with_cumulative(*beam.profile_points())
+        self._entry = with_cumulative(*beam.profile_points())
         self._stretched = _stretched_phase_function(medium)
         self._rng = np.random.default_rng(seed)
         self._shift = self._rng.random(N_LATTICE)
@@ -211,6 +235,7 @@ class _Batch:
         self._harmonics = np.asarray(harmonics, dtype=np.int64)
         self._slots = np.full(n_orders, -1, dtype=np.int64)
         self._slots[np.asarray(angular_bounces, dtype=np.int64) - 2] = range(len(angular_bounces))
+        self._walls = walls
         self._n_done = 0
         self.scores = np.zeros(shape)
         self.lobes = np.zeros((len(angular_bounces), n_theta, n_y, n_x))
@@ -218,6 +243,9 @@ class _Batch:
 
     def run_to(self, n_paths: int) -> None:
         """Follow the paths up to number ``n_paths``, as if they had been asked for at once."""
+        if self._walls is not None:
+            self._fold_to(n_paths, self._walls)
+            return
         follow(
             self._medium,
             self._tank,
@@ -227,12 +255,34 @@ class _Batch:
             (self._n_done, n_paths),
             self._rng,
             self._shift,
-            _lattice(N_LATTICE),
+            lattice_steps(N_LATTICE),
             self._wavenumber,
             self._harmonics,
             self._slots,
             self.scores,
             self.lobes,
+            self.modulated,
+        )
+        self._n_done = n_paths
+
+    def _fold_to(self, n_paths: int, walls: Walls) -> None:
+        from analysis.transport.montecarlo_folded import follow_folded  # noqa: PLC0415 - rare
+
+        follow_folded(
+            self._medium,
+            self._tank,
+            np.array([walls.face_index, walls.reflectance], dtype=np.float64),
+            np.array([walls.blur_mm, walls.growth], dtype=np.float64),
+            self._angle,
+            self._entry,
+            self._stretched,
+            (self._n_done, n_paths),
+            self._rng,
+            self._shift,
+            _lattice(N_LATTICE),
+            self._wavenumber,
+            self._harmonics,
+            self.scores,
             self.modulated,
         )
         self._n_done = n_paths
@@ -257,7 +307,7 @@ def _run_all(
             raise
 
 
-def _mean_and_error(scores: list[Array]) -> tuple[Array, Array]:
+def mean_and_error(scores: list[Array]) -> tuple[Array, Array]:
     """Return mean and standard error over the batches, of the shape of one."""
     mean = np.mean(scores, axis=0)
     squares = np.zeros_like(mean)
@@ -274,7 +324,7 @@ def _relative_noise(fluence: Array, std_error: Array) -> Array:
     return np.asarray(np.sqrt((ratio**2).sum(axis=(1, 2)) / count))
 
 
-def _with_cumulative(nodes: Array, density: Array) -> Density:
+def with_cumulative(nodes: Array, density: Array) -> Density:
     """Return what `draw` needs of a piecewise-linear density: it and its share up to each node."""
     pieces = 0.5 * (density[1:] + density[:-1]) * np.diff(nodes)
     cumulative = np.concatenate([[0.0], np.cumsum(pieces)])
@@ -297,10 +347,10 @@ def _stretched_phase_function(medium: Medium) -> Density:
         return np.empty(0), np.empty(0), np.empty(0)
     psi = np.linspace(-0.5 * math.pi, 0.5 * math.pi, N_PSI)
     narrow = (1.0 - abs(medium.g)) / (1.0 + abs(medium.g))
-    return _with_cumulative(psi, np.hypot(np.cos(psi), narrow * np.sin(psi)))
+    return with_cumulative(psi, np.hypot(np.cos(psi), narrow * np.sin(psi)))
 
 
-def _lattice(n_dimensions: int) -> Array:
+def lattice_steps(n_dimensions: int) -> Array:
     """Return the steps of the additive recurrence built on the generalised golden ratio."""
     ratio = 2.0
     for _ in range(60):

@@ -240,25 +240,28 @@ def node_steps(
     return left, share
 
 
+@njit(cache=True, nogil=True)
 def _moments(tau: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """Return the integrals of t^k exp(-tau t) over 0 .. 1 for k = 0, 1, 2."""
-    thin = np.abs(tau) < 0.5
-    few = np.where(thin, tau, 0.0)
-    term = np.ones_like(tau)
-    series = np.zeros((3, *tau.shape), dtype=np.complex128)
-    for n in range(16):
-        for k in range(3):
-            series[k] += term / (n + 1 + k)
-        term = term * -few / (n + 1)
-    many = np.where(thin, 1.0, tau)
-    left = np.exp(-many)
-    e0 = (1.0 - left) / many
-    e1 = (e0 - left) / many
-    e2 = (2.0 * e1 - left) / many
+    flat = tau.ravel()
+    found = np.zeros((3, flat.size), dtype=np.complex128)
+    for i in range(flat.size):
+        rate = flat[i]
+        if abs(rate) < 0.5:
+            term = 1.0 + 0.0j
+            for n in range(16):
+                for k in range(3):
+                    found[k, i] += term / (n + 1 + k)
+                term = -term * rate / (n + 1)
+        else:
+            left = np.exp(-rate)
+            found[0, i] = (1.0 - left) / rate
+            found[1, i] = (found[0, i] - left) / rate
+            found[2, i] = (2.0 * found[1, i] - left) / rate
     return (
-        np.where(thin, series[0], e0),
-        np.where(thin, series[1], e1),
-        np.where(thin, series[2], e2),
+        found[0].reshape(tau.shape),
+        found[1].reshape(tau.shape),
+        found[2].reshape(tau.shape),
     )
 
 

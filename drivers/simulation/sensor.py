@@ -1,4 +1,4 @@
-"""A simulated sensor: shot noise, read noise, black level, gain, clipping."""
+"""A simulated sensor: shot noise, read noise, black level, gain, response, clipping, blooming."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
+
 N_BANDS = 4  # fixed, so that a seed gives the same noise on any machine
 
 
@@ -18,8 +20,15 @@ N_BANDS = 4  # fixed, so that a seed gives the same noise on any machine
 class Sensor:
     """The sensor's figures; ``counts = black + gain (Poisson(e) + N(0, read_noise))``, clipped.
 
+    What is bent by the response are these counts, the black level with them.
+
     Attributes
     ----------
+    shot_noise : whether electrons come by chance
+    saturates, quantised : whether counts end at the white level, and are whole; those of a frame
+        always are
+    blooming : share of the charge above full well that spills into the next pixels of a column
+    response : how counts are given out, as shares of 2^bits - 1
     hot_pixels : as many pixels, at places drawn from the seed, add ``hot_e_per_s``
     exposure_latency_frames : whole frames that keep the old exposure after a new one was set
     timestamp_source, uncertainty_s : what the stamps mean, and how far off they may be
@@ -45,6 +54,16 @@ class Sensor:
     uncertainty_s: float = 0.0
     reports_exposure: bool = True
     trigger_latency_s: float = 0.0
+    shot_noise: bool = True
+    saturates: bool = True
+    quantised: bool = True
+    blooming: float = 0.0
+    response: Literal["linear", "srgb"] = "linear"
+
+    @property
+    def full_well_e(self) -> float:
+        """Electrons that bring a pixel to the white level."""
+        return (self.white_level_dn - self.black_level_dn) / self.gain_dn_per_e
 
 
 class Noise:
@@ -70,28 +89,76 @@ class Noise:
     def digitise(
         self, electrons: NDArray[np.float64], exposure_s: float, name: str
     ) -> NDArray[np.uint16]:
-        """Return counts, read-only; bands of rows are drawn side by side, each from its stream."""
-        if self._sensor.hot_pixels:
-            electrons = electrons.copy()
-            electrons[self._hot] += self._sensor.hot_e_per_s * exposure_s
-        pixels = np.empty(electrons.shape, dtype=np.uint16)
-        bands = np.array_split(np.arange(electrons.shape[0]), N_BANDS)
-        streams = np.random.default_rng([self._seed, zlib.crc32(name.encode())]).spawn(N_BANDS)
-        list(self._pool.map(self._expose_band, bands, streams, repeat(electrons), repeat(pixels)))
+        """Return whole counts, read-only."""
+        s = self._sensor
+        read = self.counts(electrons, exposure_s, name)
+        if not (s.quantised and s.saturates):
+            read = np.clip(np.rint(read), 0, s.white_level_dn)
+        pixels = read.astype(np.uint16)
         pixels.setflags(write=False)
         return pixels
+
+    def counts(self, electrons: Array, exposure_s: float, name: str) -> Array:
+        """Return what is read out; bands of rows are drawn side by side, each from its stream."""
+        s = self._sensor
+        if s.hot_pixels:
+            electrons = electrons.copy()
+            electrons[self._hot] += s.hot_e_per_s * exposure_s
+        if s.blooming:
+            electrons = bloom(electrons, s.full_well_e, s.blooming)
+        read = np.empty(electrons.shape)
+        bands = np.array_split(np.arange(electrons.shape[0]), N_BANDS)
+        streams = np.random.default_rng([self._seed, zlib.crc32(name.encode())]).spawn(N_BANDS)
+        list(self._pool.map(self._expose_band, bands, streams, repeat(electrons), repeat(read)))
+        return read
 
     def _expose_band(
         self,
         rows: NDArray[np.int64],
         rng: np.random.Generator,
-        electrons: NDArray[np.float64],
-        pixels: NDArray[np.uint16],
+        electrons: Array,
+        read: Array,
     ) -> None:
         s = self._sensor
         band = slice(rows[0], rows[-1] + 1)
-        collected = rng.poisson(electrons[band]) + s.read_noise_e * rng.standard_normal(
-            electrons[band].shape
-        )
-        counts = np.rint(s.black_level_dn + s.gain_dn_per_e * collected)
-        pixels[band] = np.clip(counts, 0, s.white_level_dn)
+        collected = rng.poisson(electrons[band]) if s.shot_noise else electrons[band]
+        counts = read[band]
+        if s.read_noise_e:
+            rng.standard_normal(out=counts)
+            counts *= s.read_noise_e
+            counts += collected
+        else:
+            counts[:] = collected
+        counts *= s.gain_dn_per_e
+        counts += s.black_level_dn
+        if s.response == "srgb":
+            top = 2.0**s.bits - 1.0
+            counts[:] = top * srgb(np.clip(counts / top, 0.0, 1.0))
+        if s.saturates:
+            np.clip(counts, 0.0, s.white_level_dn, out=counts)
+        if s.quantised:
+            np.rint(counts, out=counts)
+
+
+def srgb(share: Array) -> Array:
+    """Return the signal of an sRGB picture for a share of white light (IEC 61966-2-1)."""
+    bent = 1.055 * np.maximum(share, 0.0031308) ** (1.0 / 2.4) - 0.055
+    return np.where(share <= 0.0031308, 12.92 * share, bent)
+
+
+def bloom(electrons: Array, full_well_e: float, share: float) -> Array:
+    """Let charge above full well spill, half of it up and half down its column.
+
+    It fills one pixel after the other; at the ends of a column it is lost, as is what of the
+    excess does not spill.
+    """
+    excess = np.maximum(electrons - full_well_e, 0.0)
+    held = electrons - excess
+    for rows in (range(held.shape[0]), range(held.shape[0] - 1, -1, -1)):
+        spilling = np.zeros(held.shape[1])
+        for row in rows:
+            spilling += 0.5 * share * excess[row]
+            taken = np.minimum(spilling, full_well_e - held[row])
+            held[row] += taken
+            spilling -= taken
+    return held

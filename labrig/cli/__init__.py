@@ -19,6 +19,8 @@ from labrig.cli.devices import devices
 from labrig.cli.doctor import doctor
 from labrig.cli.exits import EXIT_BAD_INPUT, EXIT_DAMAGED, EXIT_DEVICE, EXIT_INTERRUPTED
 from labrig.cli.schema import schema
+from labrig.cli.series import series
+from labrig.cli.simulate import simulate_
 from labrig.cli.solve import solve
 from labrig.errors import LabrigError, RunError, SessionError
 
@@ -38,6 +40,7 @@ for command in (
     ls,
     analyse,
     report,
+    series,
     solve,
     devices,
     doctor,
@@ -45,6 +48,7 @@ for command in (
 ):
     app.command()(command)
 app.command(name="import")(import_)
+app.command(name="simulate")(simulate_)
 app.add_typer(calibrate, name="calibrate")
 app.add_typer(accuracy, name="accuracy")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
@@ -12,7 +12,9 @@ from rich.table import Table
 import labrig
 from analysis.light_field import Grid
 from labrig.cli.say import AsJson, bars, one, out_console, say, say_json
-from labrig.solving import Cost, Solved
+
+if TYPE_CHECKING:
+    from labrig.solving import Cost, Solved
 
 
 class EngineName(StrEnum):

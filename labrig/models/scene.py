@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 from pydantic import Field, model_validator
 
 from analysis.medium import Medium
 from labrig.models.base import Model, NonNegative, Positive
+from labrig.models.effects import Effects, RefractionConfig
 from labrig.models.setup import BeamConfig, TankConfig
 
 
@@ -48,7 +50,9 @@ class LightConfig(Model):
 class TransportConfig(Model):
     """How the multiple scattering of a simulated scene is computed."""
 
-    method: Literal["montecarlo"] = "montecarlo"
+    method: Literal["montecarlo", "ordinates"] = Field(
+        "montecarlo", description="montecarlo is independent of the analysis, ordinates is not"
+    )
     n_paths: int = Field(3_000_000, ge=1000)
     cell_mm: Positive = 0.5
     seed: int = 1
@@ -65,8 +69,30 @@ class Scene(Model):
     beam: BeamConfig
     light: LightConfig = LightConfig()
     transport: TransportConfig = TransportConfig()
+    tolerance: float = Field(
+        5e-3,
+        gt=0.0,
+        lt=1.0,
+        description="relative rms of a lit picture; effects below are left out",
+    )
+    effects: Effects | None = Field(None, description="all that rig and scene speak of if left out")
 
     @model_validator(mode="after")
     def _beam_enters(self) -> Scene:
-        self.beam.record().entering(self.tank.record())
+        bent = None if self.effects is None else self.effects.refraction
+        if isinstance(bent, RefractionConfig) and self.beam.angle_deg:
+            msg = (
+                f"beam.angle_deg = {self.beam.angle_deg:g} is the direction inside, which "
+                "effects.refraction works out; leave it at 0"
+            )
+            raise ValueError(msg)
+        self.beam_inside().record().entering(self.tank.record())
         return self
+
+    def beam_inside(self) -> BeamConfig:
+        """Return the beam as it is inside, by Snell's law where the scene names refraction."""
+        bent = None if self.effects is None else self.effects.refraction
+        if not isinstance(bent, RefractionConfig):
+            return self.beam
+        sine = math.sin(math.radians(bent.outside_deg)) / bent.index
+        return self.beam.model_copy(update={"angle_deg": math.degrees(math.asin(sine))})

@@ -12,19 +12,21 @@ import math
 import os
 import tempfile
 import zipfile
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 import numpy as np
 
 from analysis.errors import AnalysisError
 from analysis.phase_function import power_removed
-from analysis.transport.montecarlo import SampledField, simulate
+from analysis.transport.montecarlo import SampledField, Walls, simulate
 from labrig.models.scene import Scene
+from labrig.scene.answer import Answer
+from labrig.scene.stripes import FIRST
 
 VERSION = 1  # of the kept files; raise it when the Monte Carlo changes its answer
-HARMONICS = (1, 3)  # of a square wave after a projector's blur; the fifth adds about 0.2 percent
+HIGHER_SHARE = 8  # harmonics beyond the first two are followed by n_paths over this
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,15 +47,13 @@ def bounces_needed(albedo: float, tail: float) -> int:
     return min(400, max(2, math.ceil(math.log(tail) / math.log(albedo))))
 
 
-def tank_response(
-    scene: Scene,
-    *,
-    period_mm: float,
-    progress: Callable[[int, int], None] | None = None,
-) -> TankResponse:
-    """Return the response of a scene's tank to stripes of a period along y.
+def bounces_of(scene: Scene) -> int:
+    """Return the last bounce of a scene that is followed.
 
-    Computed once for a medium, tank, beam and period, then read from the cache folder.
+    Raises
+    ------
+    AnalysisError
+        If no number of bounces would be enough.
     """
     medium = scene.medium.record()
     # With hg-paper a bounce keeps the share albedo * N3(g), which is not below one for every g.
@@ -64,32 +64,100 @@ def tank_response(
             f"the light by {kept_share:.4g}, and no number of them is enough; choose hg-plane."
         )
         raise AnalysisError(msg)
-    n_bounces = bounces_needed(kept_share, scene.transport.tail)
-    question = {
+    return bounces_needed(kept_share, scene.transport.tail)
+
+
+def answer_by_montecarlo(
+    scene: Scene,
+    harmonics: Mapping[float, tuple[int, ...]],
+    walls: Walls | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    *,
+    anew: bool = False,
+) -> Answer:
+    """Return a tank's answer to stripes of some periods (mm), each with its first harmonics.
+
+    A plan without stripes is answered with those of a period as wide as the tank.
+    """
+    waves = {}
+    white, from_cache = None, True
+    for period_mm, wanted in (harmonics or {scene.tank.width_mm: FIRST}).items():
+        for some in (FIRST, tuple(h for h in wanted if h not in FIRST)):
+            if not some:
+                continue
+            found = tank_response(
+                scene,
+                period_mm=period_mm,
+                harmonics=some,
+                walls=walls,
+                progress=progress,
+                anew=anew,
+            )
+            white = white or found
+            from_cache = from_cache and found.from_cache
+            for harmonic, wave in zip(some, found.field.modulated, strict=True):
+                waves[period_mm, harmonic] = wave
+    if white is None:
+        msg = "every period has its first harmonics"
+        raise AssertionError(msg)
+    field = white.field
+    return Answer(
+        x_mm=field.x_mm,
+        y_mm=field.y_mm,
+        fluence=field.fluence,
+        waves=waves,
+        method="montecarlo",
+        from_cache=from_cache,
+    )
+
+
+def tank_response(
+    scene: Scene,
+    *,
+    period_mm: float,
+    harmonics: tuple[int, ...] = FIRST,
+    walls: Walls | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    anew: bool = False,
+) -> TankResponse:
+    """Return the response of a scene's tank to stripes of a period along y.
+
+    Computed once for a medium, tank, beam and period, then read from the cache folder. Harmonics
+    beyond the usual ones hold so little light that a share of the paths serves them.
+    """
+    medium = scene.medium.record()
+    n_bounces = bounces_of(scene)
+    question: dict[str, object] = {
         "version": VERSION,
         "medium": scene.medium.model_dump(),
         "tank": scene.tank.model_dump(),
         "beam": scene.beam.model_dump(),
         "transport": scene.transport.model_dump(),
         "period_mm": period_mm,
-        "harmonics": HARMONICS,
+        "harmonics": harmonics,
     }
+    if walls is not None:
+        question["walls"] = asdict(walls)
     key = hashlib.sha256(json.dumps(question, sort_keys=True).encode()).hexdigest()[:24]
     kept = cache_folder() / f"response-{key}.npz"
-    if kept.is_file():
+    if kept.is_file() and not anew:
         found = _read(kept)
         if found is not None:
             return TankResponse(field=found, n_bounces=n_bounces, from_cache=True)
+    n_paths = scene.transport.n_paths
+    if harmonics != FIRST:
+        n_paths = max(n_paths // HIGHER_SHARE, 1000)
     sampled = simulate(
         medium,
         scene.tank.record(),
         scene.beam.record(),
         n_bounces=n_bounces,
-        n_paths=scene.transport.n_paths,
+        n_paths=n_paths,
         cell_mm=scene.transport.cell_mm,
         seed=scene.transport.seed,
         stripe_wavenumber_per_mm=2.0 * math.pi / period_mm,
-        harmonics=HARMONICS,
+        harmonics=harmonics,
+        walls=walls,
         n_threads=os.cpu_count() or 1,
         progress=progress,
     )

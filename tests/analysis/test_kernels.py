@@ -101,12 +101,12 @@ def test_monte_carlo_path(phase):
             np.array([0.7, 0.56, 0.4, 1.1]),
             np.array([5.0, 4.0]),
             0.3,
-            montecarlo._with_cumulative(np.array([1.0, 1.5, 2.5]), np.array([0.0, 2.0, 1.0])),
+            montecarlo.with_cumulative(np.array([1.0, 1.5, 2.5]), np.array([0.0, 2.0, 1.0])),
             montecarlo._stretched_phase_function(medium),
             (0, 200),
             rng,
             rng.random(5),
-            montecarlo._lattice(5),
+            montecarlo.lattice_steps(5),
             2.0,
             np.array([1, 3]),
             np.array([-1, 0, -1]),
@@ -127,7 +127,7 @@ def test_monte_carlo_path(phase):
 @pytest.mark.parametrize("g", [0.4, -0.6, 1.0, -1.0])
 def test_draw_and_deflect(g):
     nodes, density = np.array([1.0, 1.5, 2.0, 2.5]), np.array([0.0, 2.0, 1.0, 0.0])
-    entry = montecarlo._with_cumulative(nodes, density)
+    entry = montecarlo.with_cumulative(nodes, density)
     fine = np.linspace(1.0, 2.5, 200_001)
     for share in (0.0, 0.2, 0.5, 0.99):
         found = montecarlo_kernels.draw.py_func(*entry, share)

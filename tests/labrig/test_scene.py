@@ -10,12 +10,15 @@ from analysis.errors import AnalysisError
 from labrig.config import parse
 from labrig.errors import PlanError, RunError
 from labrig.patterns import draw
-from labrig.plan import stripes_of
+from labrig.plan import kinds_of_stripes, stripes_of
 from labrig.scene.picture import Picture
+from labrig.scene.pipeline import see
 from labrig.scene.response import bounces_needed, tank_response
+from labrig.scene.transport import answer_of
 
 FOLDER = labrig.config_folder()
 PERIOD_PX = 12
+PERIOD_MM = PERIOD_PX * 0.15
 
 
 def scene_of(**changes) -> labrig.Scene:
@@ -39,11 +42,27 @@ def rig_of(side: str = "left") -> labrig.Rig:
     return rig.model_copy(update={"geometry": geometry, "camera": camera})
 
 
+def plan_of(*periods_px: int) -> labrig.Plan:
+    sets = [
+        {"id": f"s{period}", "pattern": {"kind": "stripes", "period_px": period, "shifts": 6}}
+        for period in periods_px
+    ]
+    content = {
+        "schema": "labrig-plan/1",
+        "name": "here",
+        "exposures": {"bracket_s": [0.05]},
+        "sets": [*sets, {"id": "white", "pattern": {"kind": "uniform"}}],
+    }
+    return parse(content, labrig.Plan, source="here")
+
+
+def seen(scene: labrig.Scene | None = None, rig: labrig.Rig | None = None) -> Picture:
+    return see(scene or scene_of(), rig or rig_of(), plan_of(PERIOD_PX)).picture
+
+
 @pytest.fixture(scope="module")
 def picture():
-    scene = scene_of()
-    response = tank_response(scene, period_mm=1.8)
-    return Picture(scene, rig_of(), response, period_px=PERIOD_PX)
+    return seen()
 
 
 def stripes(shift: int) -> np.ndarray:
@@ -99,9 +118,7 @@ def test_stripes_in_the_picture_have_the_contrast_of_the_blur(picture):
 
 @pytest.mark.parametrize("side", ["right", "top", "bottom"])
 def test_the_lit_side_turns_the_picture_and_nothing_else(picture, side):
-    other = Picture(scene_of(), rig_of(side), picture._response, period_px=PERIOD_PX).light(
-        stripes(1), 0.0
-    )
+    other = seen(rig=rig_of(side)).light(stripes(1), 0.0)
     left = picture.light(stripes(1), 0.0)[5:155, 12:212]
     if side == "right":
         np.testing.assert_array_equal(other[5:155, 12:212], left[:, ::-1])
@@ -112,8 +129,7 @@ def test_the_lit_side_turns_the_picture_and_nothing_else(picture, side):
 
 def test_a_slanted_beam_carries_its_stripes_along():
     scene = scene_of(beam={"from_mm": 2, "to_mm": 6, "angle_deg": 30.0})
-    found = Picture(scene, rig_of(), tank_response(scene, period_mm=1.8), period_px=PERIOD_PX)
-    single = found.truth(0.0).single
+    single = seen(scene).truth(0.0).single
     middle = np.array([np.mean(np.flatnonzero(column > 0)) for column in single[:, :150:20].T])
     drift = (middle - middle[0]) * 0.1
     expected = np.arange(0, 150, 20) * 0.1 * math.tan(math.radians(30.0))
@@ -164,12 +180,7 @@ def test_pictures_the_response_does_not_know_are_refused(picture):
             np.ascontiguousarray(WHITE * (np.arange(720) % 2)[:, None].astype(np.uint8)), 0.0
         )
     with pytest.raises(PlanError, match="the scene's tank is"):
-        Picture(
-            scene_of(tank={"depth_mm": 30, "width_mm": 15}),
-            rig_of(),
-            picture._response,
-            period_px=PERIOD_PX,
-        )
+        seen(scene_of(tank={"depth_mm": 30, "width_mm": 15}))
 
 
 def test_a_projector_that_does_not_light_the_whole_beam_is_refused(picture):
@@ -178,4 +189,52 @@ def test_a_projector_that_does_not_light_the_whole_beam_is_refused(picture):
         update={"projector": narrow.projector.model_copy(update={"cols": 440})}
     )
     with pytest.raises(PlanError, match="not the whole beam"):
-        Picture(scene_of(), narrow, picture._response, period_px=PERIOD_PX)
+        seen(rig=narrow)
+
+
+def test_a_plan_may_hold_stripes_of_several_periods(picture):
+    both = see(scene_of(), rig_of(), plan_of(PERIOD_PX, 24)).picture
+    # the answer to each period does not know of the other
+    np.testing.assert_array_equal(both.light(stripes(1), 0.0), picture.light(stripes(1), 0.0))
+    wide = np.zeros((720, 1280), np.uint8)
+    wide[:, np.arange(1280) % 24 < 12] = 255
+    alone = see(scene_of(), rig_of(), plan_of(24)).picture.light(wide, 0.0)
+    np.testing.assert_array_equal(both.light(wide, 0.0), alone)
+    assert both.answer.harmonics(PERIOD_MM) == (1, 3)
+    assert both.answer.harmonics(2 * PERIOD_MM)[:2] == (1, 3)
+    assert [s.period_px for s in kinds_of_stripes(plan_of(24, PERIOD_PX))] == [12, 24]
+
+
+def test_a_sharp_projector_and_a_strict_tolerance_call_for_more_waves():
+    scene = scene_of()
+    rig = rig_of()
+    sharp = rig.model_copy(update={"projection": rig.projection.model_copy(update={"blur_px": 0})})
+    parts = seen(scene, sharp).parts
+    loose = answer_of(parts, (PERIOD_PX,), tolerance=0.05).harmonics(PERIOD_MM)
+    strict = answer_of(parts, (PERIOD_PX,), tolerance=1e-4).harmonics(PERIOD_MM)
+    assert loose == (1, 3)
+    assert strict[:4] == (1, 3, 5, 7)
+    # with all waves the picture's stripes are those of the projector: each shift of the white
+    together = Picture(parts, answer_of(parts, (PERIOD_PX,), tolerance=1e-4), periods_px=(12,))
+    total = sum(together.parted(stripes(k), 0.0)[1] for k in range(6)) / 3
+    white = together.parted(WHITE, 0.0)[1]
+    bright = white > 0.05 * white.max()
+    # measured worst 3e-16: what the six shifts add up to holds no wave below the sixth
+    np.testing.assert_allclose(total[bright], white[bright], rtol=1e-9)
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 20.0])
+def test_the_solver_and_the_monte_carlo_light_a_scene_alike(angle_deg):
+    beam = {"from_mm": 4, "to_mm": 11, "angle_deg": angle_deg}
+    sampled = seen(scene_of(beam=beam, transport={"n_paths": 200_000, "cell_mm": 0.5}))
+    solved = seen(scene_of(beam=beam, transport={"method": "ordinates"}))
+    assert (sampled.truth(0.0).method, solved.truth(0.0).method) == ("montecarlo", "ordinates")
+    # measured worst 0.032: noise of the Monte Carlo, and its cells where the beam ends
+    for image in (WHITE, stripes(2)):
+        one, other = sampled.parted(image, 0.0)[1], solved.parted(image, 0.0)[1]
+        miss = math.sqrt(np.mean((one - other) ** 2) / np.mean(one**2))
+        assert miss < 0.04
+    n = min(one.truth(0.0).bounces.shape[0] for one in (sampled, solved))
+    power = [one.truth(0.0).bounces[:n].mean(axis=(1, 2)) for one in (sampled, solved)]
+    # nodes on the walls count half of what cells do: the two means differ by the grid's edge
+    np.testing.assert_allclose(power[0][:3], power[1][:3], rtol=0.05)

@@ -15,9 +15,7 @@ from labrig.config import load
 from labrig.models.plan import Plan
 from labrig.models.rig import Rig
 from labrig.models.scene import Scene as TankScene
-from labrig.plan import stripes_of
-from labrig.scene.picture import Picture
-from labrig.scene.response import tank_response
+from labrig.scene import pipeline
 
 
 def describe(rig: Path, scene: Path, plan: Path, screen: Path, place: Any, cap: Path) -> str:
@@ -30,9 +28,7 @@ def tank_scene(argument: str) -> Scene:
     """Return what a camera sees of the tank, with the noise of its sensor."""
     told = json.loads(argument)
     rig, scene = load(Path(told["rig"]), Rig), load(Path(told["scene"]), TankScene)
-    stripes = stripes_of(load(Path(told["plan"]), Plan))
-    response = tank_response(scene, period_mm=stripes.period_px * rig.projection.mm_per_px)
-    picture = Picture(scene, rig, response, period_px=stripes.period_px)
+    picture = pipeline.see(scene, rig, load(Path(told["plan"]), Plan)).picture
     screen, cap = FrameBuffer(Path(told["screen"])), Path(told["cap"])
     x, width, height = told["place"]
     rng = np.random.default_rng(7)

@@ -1,0 +1,49 @@
+"""How finely a slab is to be resolved, and what error that leaves."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from analysis.medium import Slab
+from analysis.phase_function import Array
+from analysis.transport.slab_grid import SlabGrid, graded_depths, polar_angles
+from analysis.transport.slab_second import angles_for
+
+CROWDING = 1.25
+
+
+def depths(sigma_t_per_mm: float, slab: Slab, *, fineness: float) -> Array:
+    """Return nodes in depth from face to far wall, (n_x,), finer where the face is near."""
+    finest = min(0.008 * slab.height_mm, 0.02 / sigma_t_per_mm)
+    coarsest = min(0.5 / sigma_t_per_mm, slab.height_mm)
+    wanted = np.log1p(slab.depth_mm / finest) + slab.depth_mm / coarsest
+    n_x = max(24, round(1.8 * math.sqrt(fineness) * wanted))
+    return graded_depths(slab.depth_mm, n_x, finest_mm=finest, coarsest_mm=coarsest)
+
+
+def directions(
+    g: float, slab: Slab, x_mm: Array, *, wavenumber_per_mm: float, fineness: float
+) -> SlabGrid:
+    """Return a grid of directions that resolves an asymmetry and a wave number.
+
+    Parameters
+    ----------
+    fineness : one leaves about 0.1 % of a sum of orders; directions grow with its square
+    """
+    phase = min(wavenumber_per_mm * slab.height_mm, 40.0)
+    n_forward = max(6, round(fineness * (10.0 + 8.0 * g**2 + 0.1 * phase)))
+    n_backward = max(4, round(fineness * (6.0 + 6.0 * g**4)))
+    wave = phase * (0.15 + 0.15 * g**8)
+    n_phi = 2 * max(2, round(0.5 * fineness * (10.0 + 4.0 * g**2 + wave)))
+    theta, weight = polar_angles(n_forward, n_backward, CROWDING)
+    return SlabGrid(
+        x_mm=x_mm,
+        n_z=max(3, round(3.0 + 2.0 * fineness)),
+        theta_rad=theta,
+        weight=weight,
+        n_phi=n_phi,
+        degree=round(min(n_forward, 10.0 + 14.0 * g**2)),
+        n_second=max(6, round(min(fineness, 1.0) * angles_for(g))),
+    )
