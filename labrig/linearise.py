@@ -171,13 +171,13 @@ def rectify(
     dark_name = next((name for name in ("black", "ambient") if name in radiances), None)
 
     def values(name: str) -> Array:
-        return _turned(radiances[name].value, setup).astype(np.float64)
+        return turned(radiances[name].value, setup).astype(np.float64)
 
     def variances(name: str) -> Array:
-        return _turned(radiances[name].variance, setup).astype(np.float64)
+        return turned(radiances[name].variance, setup).astype(np.float64)
 
     black = values(dark_name) if dark_name else None
-    stripes = np.stack([_turned(radiances[name].value, setup) for name in shifts])
+    stripes = np.stack([turned(radiances[name].value, setup) for name in shifts])
     captured = stripes[0].astype(np.float64)
     white = values("white") if "white" in radiances else None
     white_variance = variances("white") if "white" in radiances else None
@@ -185,19 +185,19 @@ def rectify(
         stripes -= black.astype(np.float32)
         if white is not None and white_variance is not None:
             white, white_variance = white - black, white_variance + variances(dark_name)
-    lost = [~_turned(radiances[name].valid, setup) for name in shifts]
+    lost = [~turned(radiances[name].valid, setup) for name in shifts]
     leak = values("black") if "black" in radiances else None
     if leak is not None and "ambient" in radiances:
         leak = leak - values("ambient")
     return Pictures(
         stripes=stripes,
-        stripes_variance=np.stack([_turned(radiances[name].variance, setup) for name in shifts]),
+        stripes_variance=np.stack([turned(radiances[name].variance, setup) for name in shifts]),
         white=white,
         white_variance=white_variance,
         black=black,
         black_variance=variances(dark_name) if dark_name else None,
         leak=leak,
-        position_px=None if position is None else _turned(position, setup),
+        position_px=None if position is None else turned(position, setup),
         captured=captured,
         pixel=float(pixel or 1.0),
         unit=unit,
@@ -299,8 +299,14 @@ def _shift_names(session: Session) -> list[str]:
     return [f"stripes-{k}" for k in range(n)]
 
 
-def _turned(picture: NDArray[T], setup: Setup) -> NDArray[T]:
-    """Return the region with the lit side left, cut to the tank where that is given."""
+def turned(picture: NDArray[T], setup: Setup) -> NDArray[T]:
+    """Return the region with the lit side left, cut to the tank where that is given.
+
+    Raises
+    ------
+    AnalysisRefusedError
+        If the region leaves the picture.
+    """
     geometry = setup.geometry
     x, y, width, height = geometry.region_px or (0, 0, picture.shape[1], picture.shape[0])
     if x + width > picture.shape[1] or y + height > picture.shape[0]:

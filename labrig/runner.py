@@ -66,7 +66,7 @@ class Runner(RunLog):
         self._cancel = CancelToken()
         self._after_group = False
         self._pause_asked = False
-        self.latest: tuple[str, NDArray[np.uint16]] | None = None
+        self.latest: tuple[Shot, NDArray[np.uint16]] | None = None
         self.references = references or References(self._plan, rig)
         self._writer: SessionWriter | None = None
         self._sequencer: Sequencer | None = None
@@ -79,6 +79,11 @@ class Runner(RunLog):
     def path(self) -> Path:
         """The session's folder; it exists once the run is armed."""
         return need(self._writer).path
+
+    @property
+    def armed(self) -> bool:
+        """Whether there is a session's folder."""
+        return self._writer is not None
 
     def post(self, command: Command) -> None:
         """Ask something of the run; may be called from any thread and in any state."""
@@ -190,7 +195,7 @@ class Runner(RunLog):
                 continue
             break
         self._step(shot.id, Step.COMMIT)
-        self.latest = (shot.id, taken.frame.pixels)
+        self.latest = (shot, taken.frame.pixels)
         limit = self._plan.limits.saturated_fraction
         if taken.details["saturated_fraction"] > limit and self._sees_light(shot):
             share = 100.0 * taken.details["saturated_fraction"]
