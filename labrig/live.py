@@ -103,7 +103,7 @@ class Live:
         """
         if self._armed != self._shows:
             self._arm()
-        name = self._shows
+        name: str = self._shows
         if self._shows == "cycle":
             frame, name = self._next_shift()
         else:

@@ -13,6 +13,8 @@ from labrig.report_page import parameter_rows, quality_rows, remarks
 from labrig.results import Result, read_results
 from labrig.shown import Array, Bounces, Decay, Extent, Image, Listed, Row, Shown
 
+SHOWN = 6  # bounces whose light says which part of the tank is worth a look
+
 
 def show(path: Path) -> Shown:
     """Return what the window shows of a results folder, or of a session's newest one.
@@ -33,7 +35,7 @@ def show(path: Path) -> Shown:
         title=session.name,
         unit=unit,
         rows=tuple(_rows(result, unit)),
-        warnings=tuple([*run.get("notes", ()), *remarks(run, unit)]),
+        warnings=(*run.get("notes", ()), *remarks(run, unit)),
         quality=tuple(quality_rows(run.get("quality", {}), unit)),
         seconds={str(k): float(v) for k, v in run.get("seconds", {}).items()},
         captured=captured.values.astype(np.float32),
@@ -90,8 +92,11 @@ def bounces_of(  # noqa: PLR0913 - the parts of a field have no common home but 
     beam: tuple[float, float, float],
     error_estimate: Array | None = None,
 ) -> Bounces:
-    """Return bounces as they are shown; ``medium`` is sigma_t, sigma_s, g, ``beam`` from, to, angle."""
+    """Return bounces as shown; ``medium`` is sigma_t, sigma_s, g; ``beam`` from, to, angle."""
     picture = views.Picture(values=fluence[0], y=y, x=x, unit="")
+    worth = [views.Picture(values=of, y=y, x=x, unit="") for of in fluence[:SHOWN]]
+    lit = views.lit_part(worth, squarish=True)
+    rows, cols = np.flatnonzero(lit.any(axis=1)), np.flatnonzero(lit.any(axis=0))
     return Bounces(
         sigma_t=medium[0],
         sigma_s=medium[1],
@@ -106,6 +111,7 @@ def bounces_of(  # noqa: PLR0913 - the parts of a field have no common home but 
         light_field=light_field,
         beam_angle_rad=beam[2],
         beam_rows=(beam[0], beam[1]),
+        lit=(int(rows[0]), int(rows[-1]), int(cols[0]), int(cols[-1])),
         error_estimate=error_estimate,
     )
 

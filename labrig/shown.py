@@ -58,6 +58,7 @@ class Bounces:
     depth, curves : (n,), (K, n), light along the beam, counts/s
     pictures : (K, n_y, n_x) counts/s, on nodes ``x``, ``y``
     light_field : (K - 1, n_y, n_x, n_theta), bounces 2 .. K, per radian
+    lit : first and last row, first and last column of the nodes that are worth a look
     error_estimate : (K,), stated relative error of each; None where it was not measured
     """
 
@@ -74,6 +75,7 @@ class Bounces:
     light_field: Image
     beam_angle_rad: float
     beam_rows: tuple[float, float]
+    lit: tuple[int, int, int, int]
     error_estimate: Array | None
 
     def weighted(self, sigma_s: float, *, light: bool = True) -> Bounces:

@@ -7,7 +7,6 @@ view, and gives it back.
 from __future__ import annotations
 
 import queue
-import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,33 +16,28 @@ from drivers.errors import DriverError
 from labrig.capturing import plan_of, prepare, prepare_resume, rig_of
 from labrig.config import latency_beside, load, parse
 from labrig.door import (
-    Checked,
-    Connected,
     Counts,
     Disconnected,
     Door,
-    Planned,
     Picture,
     RunEnded,
-    RunTold,
     Said,
     Show,
     Trouble,
     Working,
 )
 from labrig.errors import LabrigError
-from labrig.estimate import bytes_of, estimate
 from labrig.live import Live, SilentError
 from labrig.models.plan import Plan, Shot
 from labrig.models.rig import Rig
 from labrig.models.scene import Scene
-from labrig.patterns import Image
-from labrig.plan import CapturePlan, bracket_of, expand, stripes_of
-from labrig.preflight import check_all
+from labrig.plan import bracket_of, expand, stripes_of
+from labrig.probe import resolve
 from labrig.rig import OpenRig, open_rig
 from labrig.run_state import Command, Event
 from labrig.runner import Runner
 from labrig.session import Session
+from labrig.telling import connected, planned, told
 
 IDLE_S = 0.05  # between two looks for questions while there is nothing to show
 ERRORS = (LabrigError, DriverError, CalibrationError, OSError)
@@ -186,44 +180,9 @@ class Station:
 
     def tell_plan(self) -> None:
         """Tell what the plan is, what it costs and whether it could run."""
-        if self._config is None:
-            return
-        expanded, config = expand(self._need_plan(), self._config), self._config
-        latency = latency_beside(self._files[0])
-        cost = estimate(
-            expanded,
-            config,
-            wait_s=None if latency is None else latency.latest_s + latency.settle_s,
-        )
-        verdicts = check_all(expanded, config, latency, self._out)
-        stripes = stripes_of(expanded.plan)
-        groups: dict[str, list[str]] = {}
-        for shot in expanded.shots:
-            groups.setdefault(shot.group, []).append(shot.id)
-        place = next(p for p in (self._out.absolute(), *self._out.absolute().parents) if p.is_dir())
-        self._door.told.put(
-            Planned(
-                name=expanded.plan.name,
-                period_px=stripes.period_px,
-                shifts=stripes.shifts,
-                bracket_s=bracket_of(expanded.plan, config),
-                groups=tuple((name, tuple(shots)) for name, shots in groups.items()),
-                patterns=_lines(expanded),
-                seconds={
-                    name: float(getattr(cost.seconds, name)) for name in cost.seconds.__slots__
-                },
-                n_bytes=bytes_of(expanded, config.camera.rows, config.camera.cols),
-                free_bytes=shutil.disk_usage(place).free,
-                verdicts=tuple(
-                    Checked(
-                        name=v.name,
-                        word="ok" if v.ok else "refused" if v.fatal is not None else "note",
-                        text=v.text,
-                    )
-                    for v in verdicts
-                ),
-            )
-        )
+        if self._config is not None:
+            latency = latency_beside(self._files[0])
+            self._door.told.put(planned(self._need_plan(), self._config, latency, self._out))
 
     # How it is done.
 
@@ -275,7 +234,8 @@ class Station:
 
     def _open(self, rig: OpenRig) -> None:
         self._rig = rig
-        self._door.told.put(_connected(rig))
+        self._plan = resolve(self._need_plan(), rig)  # an automatic bracket is found now
+        self._door.told.put(connected(rig))
         self._relive()
 
     def _relive(self) -> None:
@@ -303,7 +263,7 @@ class Station:
         handed: list[str] = []
 
         def hear(event: Event) -> None:
-            self._door.told.put(_told(event))
+            self._door.told.put(told(event))
             latest = runner.latest
             if latest is not None and handed[-1:] != [latest[0].id]:
                 handed[:] = [latest[0].id]
@@ -352,63 +312,3 @@ class Station:
             msg = "no rig is connected; connect one first."
             raise LabrigError(msg)
         return self._rig
-
-
-def _told(event: Event) -> RunTold:
-    s = event.status
-    return RunTold(
-        kind=event.kind,
-        text=event.text,
-        state=str(s.state),
-        step="" if s.step is None else str(s.step),
-        shot=s.shot,
-        attempt=s.attempt,
-        saved=s.saved,
-        total=s.total,
-        failures=s.failures,
-        eta_s=s.eta_s,
-        problem=s.problem,
-        reason=s.reason,
-    )
-
-
-def _lines(expanded: CapturePlan) -> dict[str, Image]:
-    """Return what the projector shows for every shot, one line of it; nothing if it is off."""
-    axis = stripes_of(expanded.plan).axis
-    found = {}
-    for shot in expanded.shots:
-        if shot.pattern is not None:
-            image = expanded.images[shot.pattern]
-            found[shot.id] = image[0] if axis == "x" else image[:, 0]
-    return found
-
-
-def _connected(rig: OpenRig) -> Connected:
-    config, can = rig.config, rig.camera_can
-    camera, projector = rig.camera.identity, rig.projector.identity
-    geometry, beam = config.geometry, rig.scene.beam
-    rows = None
-    if geometry.mm_per_px is not None and geometry.lit_side in ("left", "right"):
-        top = geometry.region_px[1] if geometry.region_px else 0
-        rows = (
-            top + beam.from_mm / geometry.mm_per_px,
-            top + beam.to_mm / geometry.mm_per_px,
-        )
-    shows = ["white", "stripes", "cycle", "black"]
-    return Connected(
-        name=config.name,
-        camera=f"{camera['model']} {camera['serial']}",
-        projector=f"{projector['model']} {rig.projector_can.cols} x {rig.projector_can.rows}",
-        simulated=rig.simulated,
-        shape=(can.rows, can.cols),
-        bits=can.bits,
-        white_level=can.white_level_dn,
-        black_level=rig.black_level_dn,
-        exposure_range_s=can.exposure_range_s,
-        gain_range_db=can.gain_range_db,
-        region_px=geometry.region_px,
-        mm_per_px=geometry.mm_per_px,
-        lit_side=geometry.lit_side,
-        beam_rows_px=rows,
-        can_show=(*shows, "off") if rig.projector_can.lamp_control else tuple(shows),
-    )

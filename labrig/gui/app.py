@@ -91,7 +91,7 @@ class App:
         self.banner = Banner(root, self.style, self.show_log)
         self.banner.grid(row=1, column=0, columnspan=3, sticky="ew")
         self.banner.hide()
-        left = ttk.Frame(root, width=px(208))
+        left = ttk.Frame(root, width=px(224))
         left.grid(row=2, column=0, sticky="ns", padx=(px(8), px(4)))
         left.pack_propagate(False)
         self.rail = Rail(left, self.style, self.go)
@@ -177,7 +177,7 @@ class App:
 
     def _build_right(self) -> None:
         px = self.style.px
-        right = ttk.Frame(self.root, width=px(222))
+        right = ttk.Frame(self.root, width=px(238))
         right.grid(row=2, column=2, sticky="ns", padx=(px(4), px(8)))
         right.pack_propagate(False)
         self.histogram = HistogramCard(right, self.style)
@@ -185,7 +185,7 @@ class App:
             right,
             self.style,
             expose=lambda e, g: self.devices.expose(e, g),
-            auto=lambda: self.devices.auto_expose(),
+            auto=lambda: self.devices.metering.auto_expose(),
             roi=lambda roi: self.devices.set_roi(roi),
         )
         self.focus = FocusCard(right, self.style)
@@ -227,12 +227,12 @@ class App:
 
     def show_tab(self, number: int) -> None:
         """Show a tab by its place."""
-        self.tabs.select(number)
+        self.tabs.select(number)  # type: ignore[no-untyped-call]
 
     @property
     def tab(self) -> int:
         """The place of the tab that is shown."""
-        return int(self.tabs.index("current"))
+        return int(self.tabs.index("current"))  # type: ignore[no-untyped-call]
 
     def _tab_changed(self) -> None:
         if self.tab == 0:
@@ -304,7 +304,7 @@ class App:
         self.recolour()
         if found.log_open == "no":
             self.log.grid_remove()
-        self.tabs.select(TABS.index(found.tab))
+        self.show_tab(TABS.index(found.tab))
         self.rail.show(self.day)
         self.live.pane.focus_set()
 

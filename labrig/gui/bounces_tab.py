@@ -21,8 +21,9 @@ FINER = 6  # pixels shown for each node, smooth between
 LEAST, MOST = -4.0, -1.0  # powers of ten of the tolerance
 
 
-def smooth(picture: np.ndarray) -> np.ndarray:
-    """Return a picture on nodes enlarged, linear between them."""
+def smooth(picture: np.ndarray, lit: tuple[int, int, int, int]) -> np.ndarray:
+    """Return the lit part of a picture on nodes enlarged, linear between them."""
+    picture = np.ascontiguousarray(picture[lit[0] : lit[1] + 1, lit[2] : lit[3] + 1])
     return np.asarray(cv2.resize(picture, None, fx=FINER, fy=FINER, interpolation=cv2.INTER_LINEAR))
 
 
@@ -96,7 +97,7 @@ class BouncesTab(ResultTab):
         self.pay.grid(row=1, column=3, sticky="ew", pady=(px(3), 0))
         for scale, step in ((self.sigma_s, 0.01), (self.tolerance, -0.25)):
             for key, sign in (("Left", -1), ("Right", +1)):
-                scale.bind(f"<{key}>", lambda _e, s=scale, d=step * sign: self._key(s, d))
+                scale.bind(f"<{key}>", self._stepping(scale, step * sign))
         top = ttk.Frame(self.figure, style="Card.TFrame")
         top.pack(fill="x", pady=(0, px(4)))
         ttk.Label(top, text="pictures from bounce", style="CardDim.TLabel").pack(side="left")
@@ -154,6 +155,9 @@ class BouncesTab(ResultTab):
             f"{1e3 * price.gigabytes:.3g} MB"
         )
         self.about.configure(text=f"{price.engine}, {price.grid}")
+
+    def _stepping(self, scale: ttk.Scale, share: float) -> Callable[[object], str]:
+        return lambda _event: self._key(scale, share)
 
     def _key(self, scale: ttk.Scale, share: float) -> str:
         low, high = float(scale.cget("from")), float(scale.cget("to"))
@@ -239,7 +243,7 @@ class BouncesTab(ResultTab):
             pane.title = f"bounce {k}  {100 * share:.2g} %{sure}"
             pane.look.high = max(top if self.each.get() else max(tops), 1e-30)
             pane.recolour()
-            pane.show(smooth(found.pictures[k - 1]))
+            pane.show(smooth(found.pictures[k - 1], found.lit))
         for pane in self.panes[len(chosen) :]:
             pane.title = ""
             pane.show(None)

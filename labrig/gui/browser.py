@@ -47,12 +47,12 @@ class Browser(Card):
         px = style.px
         self.entries: list[Listed] = []
         self._chosen = chosen
-        self._quiet = False
+        self._last: Path | None = None
         self.filter = tk.StringVar(self)
         self.field = ttk.Entry(self.body, textvariable=self.filter, font=style.font())
         self.field.pack(fill="x", pady=(0, px(4)))
         Tip(self.field, style, "Filter by name, date or state; Return goes to the list")
-        self.field.bind("<Return>", lambda _e: self.tree.focus_set())
+        self.field.bind("<Return>", self._to_list)
         self.filter.trace_add("write", lambda *_: self._fill())
         row = ttk.Frame(self.body, style="Card.TFrame")
         row.pack(side="bottom", fill="x", pady=(px(4), 0))
@@ -65,12 +65,12 @@ class Browser(Card):
         holder = ttk.Frame(self.body, style="Card.TFrame")
         holder.pack(fill="both", expand=True)
         self.tree = ttk.Treeview(
-            holder, columns=("state",), show="tree headings", selectmode="browse", height=3
+            holder, columns=("name", "state"), show="headings", selectmode="browse", height=3
         )
-        self.tree.heading("#0", text="NAME", anchor="w")
+        self.tree.heading("name", text="NAME", anchor="w")
         self.tree.heading("state", text="STATE", anchor="w")
-        self.tree.column("#0", width=px(96), minwidth=px(50), stretch=True)
-        self.tree.column("state", width=px(92), minwidth=px(50), stretch=False)
+        self.tree.column("name", width=px(104), minwidth=px(50), stretch=True)
+        self.tree.column("state", width=px(88), minwidth=px(50), stretch=False)
         bar = ttk.Scrollbar(holder, orient="vertical", command=self.tree.yview, takefocus=False)
         self.tree.configure(yscrollcommand=bar.set)
         bar.pack(side="right", fill="y")
@@ -92,10 +92,13 @@ class Browser(Card):
     def choose(self, path: Path) -> None:
         """Choose a session without telling anybody."""
         if self.tree.exists(str(path)):
-            self._quiet = True
+            self._last = path
             self.tree.selection_set(str(path))
             self.tree.focus(str(path))
             self.tree.see(str(path))
+
+    def _to_list(self, _event: object) -> None:
+        self.tree.focus_set()
 
     def _fill(self) -> None:
         wanted = self.filter.get().strip().lower()
@@ -106,9 +109,8 @@ class Browser(Card):
             name = f"{entry.created[11:16]}  {entry.name}" if entry.created else entry.name
             if wanted and wanted not in f"{entry.path.parent.name} {name} {word}".lower():
                 continue
-            self.tree.insert("", "end", iid=str(entry.path), text=name, values=(word,))
+            self.tree.insert("", "end", iid=str(entry.path), values=(name, word))
         if before and self.tree.exists(before[0]):
-            self._quiet = True
             self.tree.selection_set(before[0])
 
     def _select(self, _event: object) -> None:
@@ -116,6 +118,6 @@ class Browser(Card):
         self.resume.state(
             ["!disabled" if entry and word_of(entry).startswith(("◐", "!")) else "disabled"]
         )
-        quiet, self._quiet = self._quiet, False
-        if entry is not None and not quiet:
+        if entry is not None and entry.path != self._last:  # filling the list chooses it again
+            self._last = entry.path
             self._chosen(entry)

@@ -23,7 +23,7 @@ class HistogramCard(Card):
         super().__init__(parent, style, "Histogram (raw counts, log)")
         self._style = style
         self.canvas = tk.Canvas(
-            self.body, height=style.px(62), width=style.px(180), highlightthickness=0
+            self.body, height=style.px(44), width=style.px(180), highlightthickness=0
         )
         self.canvas.pack(fill="both", expand=True)
         self._item = self.canvas.create_image(0, 0, anchor="nw")
@@ -202,7 +202,7 @@ class FocusCard(Card):
         self.reset.pack(side="right")
         Tip(self.reset, style, "Forget the sharpest picture seen")
         self.canvas = tk.Canvas(
-            self.body, height=style.px(22), width=style.px(180), highlightthickness=0
+            self.body, height=style.px(14), width=style.px(180), highlightthickness=0
         )
         self.canvas.pack(fill="x", pady=(style.px(3), 0))
         self._kept: deque[float] = deque(maxlen=120)

@@ -12,6 +12,7 @@ from labrig.gui.images import Rgb, fill, outline
 from labrig.gui.palette import Look, rgb
 
 Array = NDArray[np.float64]
+CLOSE_PX = 2.0
 MARKS = 12  # along a curve at most
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -160,7 +161,7 @@ def dashed(points: Array, dashes: tuple[float, ...]) -> list[Array]:
     """Return a line (n, 2) cut into dashes of given lengths, px; whole if there are none."""
     finite = np.isfinite(points).all(axis=1)
     runs = np.split(points, np.flatnonzero(np.diff(finite.astype(int))) + 1)
-    lines = [run for run in runs if run.shape[0] > 1 and np.isfinite(run).all()]
+    lines = [_thinned(run) for run in runs if run.shape[0] > 1 and np.isfinite(run).all()]
     if not dashes:
         return lines
     found = []
@@ -175,6 +176,14 @@ def dashed(points: Array, dashes: tuple[float, ...]) -> list[Array]:
             if at[-1] > at[0]:
                 found.append(np.stack([np.interp(at, way, line[:, k]) for k in (0, 1)], axis=1))
     return found
+
+
+def _thinned(line: Array) -> Array:
+    """Return a line without points nearer than a pixel or two, which only roughen its edge."""
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    _, kept = np.unique(np.floor(way / CLOSE_PX), return_index=True)
+    kept[-1] = line.shape[0] - 1
+    return line[kept]
 
 
 def draw(picture: Rgb, chart: Chart, frame: Frame, *, scale: float, ground: str) -> None:

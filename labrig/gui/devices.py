@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import math
 import time
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from labrig.door import (
     Applied,
     Connected,
     Disconnected,
     Message,
-    Picture,
     Planned,
     RunEnded,
     RunTold,
@@ -23,26 +19,14 @@ from labrig.door import (
     Working,
     open_door,
 )
-from labrig.gui.helper import Helper
-from labrig.meters import (
-    GOOD,
-    Meter,
-    Roi,
-    bracket_fits,
-    bracket_from,
-    fitting_exposure,
-    profile_along,
-    read,
-)
-from labrig.shown import Fitted
+from labrig.gui.metering import Metering
+from labrig.meters import Roi
 
 if TYPE_CHECKING:
     from labrig.gui.app import App
 
 METER_S = 0.25  # between two readings of histogram and focus
 SILENCE_S = 2.0  # without a picture, which the operator is told
-ROUNDS = 8  # of automatic exposure
-DARK_HINT = 0.99  # share of dark pixels at which the picture is said to be black
 
 
 class Devices:
@@ -53,20 +37,16 @@ class Devices:
         self.rig: Connected | None = None
         self.plan: Planned | None = None
         self.applied: Applied | None = None
-        self.meter: Meter | None = None
         self.run: RunTold | None = None
         self.running = False
         self.roi: Roi | None = None
-        self._auto = 0
-        self._auto_back: Show | None = None
-        self._shows: Show = "stripes"
+        self.shows: Show = "stripes"
         self._read_s = self._told_s = 0.0
         self._seen_s = time.monotonic()
         self._working = Working(what="", done=0, total=0)
         self._drawer_before = ""
-        self._hinted = self._silent = False
-        self.uncertainty = math.nan
-        self._fitter: Helper | None = None
+        self._silent = False
+        self.metering = Metering(app, self)
         places = app.places
         self.door, self._thread = open_door(
             rig=places.rig, scene=places.scene, plan=places.plan, out=places.out
@@ -83,7 +63,7 @@ class Devices:
 
     def show(self, what: Show) -> None:
         """Let the projector show something."""
-        self._shows = what
+        self.shows = what
         self._app.pattern.choose(what)
         self.door.ask(lambda s: s.show(what))
         if what == "cycle":
@@ -112,20 +92,11 @@ class Devices:
         """Change stripes or bracket of the plan."""
         self.door.ask(lambda s: s.change_plan(**changes))
 
-    def auto_expose(self) -> None:
-        """Find the exposure under white light, and a bracket from it."""
-        if self.rig is None or self.running:
-            return
-        self._auto = ROUNDS
-        self._auto_back = self._shows
-        self.show("white")
-        self._app.say("info", "automatic exposure under white light")
-
     def open_drawer(self, what: str) -> None:
         """Open the profile, the live fit, the run, or nothing."""
-        if what == "decomposition" and self._shows != "cycle" and not self.running:
+        if what == "decomposition" and self.shows != "cycle" and not self.running:
             self.show("cycle")
-        elif what != "decomposition" and self._shows == "cycle" and not self.running:
+        elif what != "decomposition" and self.shows == "cycle" and not self.running:
             self.show("stripes")
         self._app.live.drawer.show(what)
 
@@ -191,14 +162,12 @@ class Devices:
                 app.banner.hide()
             if now - self._read_s >= METER_S and not app.closed:
                 self._read_s = now
-                self._measure(picture)
+                self.metering.take(picture)
         elif self.rig is not None and not (self.running or app.live.paused.get() or self._silent):
             patience_s = SILENCE_S + (self.applied.exposure_s if self.applied else 0.0)
             if now - self._seen_s > patience_s:
                 self._tell_silence(now - self._seen_s)
-        if self._fitter is not None:
-            self._fitter.poll()
-        self._fit()
+        self.metering.poll()
         if now - self._told_s > METER_S:
             self._told_s = now
             app.live.say_rates(self.door.pictures.dropped)
@@ -291,7 +260,7 @@ class Devices:
         app = self._app
         self.plan = plan
         app.pattern.planned(plan)
-        app.capture.planned(plan, self.uncertainty)
+        app.capture.planned(plan, self.metering.uncertainty)
         app.lights["Disk"].configure(
             text=f"● {plan.free_bytes / 1e9:.0f} GB free",
             style="Ok.TLabel" if plan.free_bytes > 4 * plan.n_bytes else "Bad.TLabel",
@@ -318,7 +287,7 @@ class Devices:
         app.pattern.enable(on=on)
         app.capture.able("" if on else "a run has the camera; Esc stops it")
         for name in ("pause", "profile", "fit live", "roi"):
-            app.live.tools[name].state(["!disabled" if on else "disabled"])  # type: ignore[attr-defined]
+            app.live.tools[name].state(["!disabled" if on else "disabled"])
 
     def _follow(self, told: RunTold) -> None:
         app = self._app
@@ -373,137 +342,6 @@ class Devices:
         if ended.session is not None:
             app.name.configure(text=ended.session.name)
             app.outcomes.captured(ended.session, whole=ended.state == "completed")
-
-    # What is read off the pictures.
-
-    def _measure(self, picture: Picture) -> None:
-        rig, app = self.rig, self._app
-        if rig is None:
-            return
-        roi = self.roi
-        meter = read(picture.pixels, black=rig.black_level, white=rig.white_level, roi=roi)
-        self.meter = meter
-        app.histogram.show(meter)
-        if self.running:
-            return
-        if picture.shows not in ("black", "off"):
-            app.focus.read(meter.focus)
-        if not self._auto and self.plan is not None:
-            app.pattern.preview(self._line_of(picture.shows))
-        bracket = self.plan.bracket_s if self.plan else ()
-        fits, why = app.day.exposure_fits, app.day.exposure_why
-        if picture.shows not in ("black", "off"):
-            fits, why = bracket_fits(
-                meter, picture.exposure_s, bracket, black=rig.black_level, white=rig.white_level
-            )
-        app.judge(
-            focus_share=app.focus.share,
-            focus_readings=app.focus.readings,
-            exposure_fits=fits,
-            exposure_why=why,
-        )
-        self._hint(meter, picture)
-        self._expose_by(meter, picture, rig)
-        if app.live.drawer.open == "profile":
-            self._profile(picture, rig)
-
-    def _line_of(self, shows: str) -> np.ndarray[Any, Any] | None:
-        """Return what the projector shows in the live view, one line of it."""
-        lines = list(self.plan.patterns.values()) if self.plan else []
-        size = lines[0].size if lines else 720
-        if shows == "white":
-            return np.full(size, 255, np.uint8)
-        if shows == "black":
-            return np.zeros(size, np.uint8)
-        if shows == "off" or not lines:
-            return None
-        k = int(shows.split()[-1]) if shows.startswith("shift") else 0
-        return lines[min(k, len(lines) - 1)]
-
-    def _hint(self, meter: Meter, picture: Picture) -> None:
-        black = meter.dark > DARK_HINT and picture.shows not in ("black", "off")
-        if black and not self._hinted:
-            self._app.say(
-                "warn",
-                f"nearly every pixel is below 1 % at "
-                f"{1e3 * picture.exposure_s:.3g} ms: raise the exposure (A)",
-            )
-        self._hinted = black
-
-    def _expose_by(self, meter: Meter, picture: Picture, rig: Connected) -> None:
-        """Take the next round of automatic exposure."""
-        always = self._app.camera.continuous.get() and not self._auto
-        if not (self._auto or always) or picture.exposure_s != self._exposure_held:
-            return
-        if self._auto and picture.shows != "white":
-            return
-        wanted = fitting_exposure(
-            meter,
-            picture.exposure_s,
-            black=rig.black_level,
-            white=rig.white_level,
-            limits_s=rig.exposure_range_s,
-        )
-        wanted = float(f"{wanted:.3g}")
-        if always:
-            if not 0.6 <= meter.bright <= 0.92:
-                self.expose(wanted, picture.gain_db)
-            return
-        self._auto -= 1
-        good = GOOD[0] <= meter.bright <= GOOD[1] or wanted == picture.exposure_s
-        if not (good or self._auto == 0):
-            self.expose(wanted, picture.gain_db)
-            return
-        self._auto = 0
-        word = "info" if good else "warn"
-        self._app.say(
-            word,
-            f"exposure {1e3 * picture.exposure_s:.4g} ms: the brightest pixels "
-            f"stand at {100 * meter.bright:.0f} % of full scale",
-        )
-        self.change_plan(bracket_s=bracket_from(picture.exposure_s, rig.exposure_range_s))
-        if self._auto_back is not None:
-            self.show(self._auto_back)
-
-    @property
-    def _exposure_held(self) -> float:
-        return self.applied.exposure_s if self.applied else 0.0
-
-    def _profile(self, picture: Picture, rig: Connected) -> None:
-        rows, cols = rig.shape
-        region = rig.region_px or (0, 0, cols, rows)
-        first, last = region[1], region[1] + region[3]
-        if rig.beam_rows_px is not None:
-            first, last = (round(r) for r in rig.beam_rows_px)
-        line = profile_along(picture.pixels, (first, last), region, lit_side=rig.lit_side)
-        unit, scale = ("mm", rig.mm_per_px) if rig.mm_per_px else ("px", 1.0)
-        depth = (np.arange(line.size) + 0.5) * (scale or 1.0)
-        self._app.live.drawer.profile(depth, line, rig.black_level, unit)
-
-    # The live fit.
-
-    def _fit(self) -> None:
-        """Give the newest set of stripes to the helper, if it has nothing to do."""
-        if self._app.live.drawer.open != "decomposition" or self.running:
-            return
-        if self._fitter is None:
-            self._fitter = Helper("live-fit")
-            self._fitter.ask("warm", then=lambda _done: None)
-        if self._fitter.busy:
-            return
-        found = self.door.stripes.take()
-        if found is not None:
-            self._fitter.ask("decompose", found, then=self._fitted, failed=self._not_fitted)
-
-    def _fitted(self, fitted: Fitted) -> None:
-        self._app.live.drawer.live.show(fitted)
-        if math.isfinite(fitted.plan_std):
-            self.uncertainty = fitted.plan_std
-            if self.plan is not None:
-                self._app.capture.planned(self.plan, self.uncertainty)
-
-    def _not_fitted(self, why: str) -> None:
-        self._app.say("warn", f"live fit: {why}")
 
     # Words at the foot, settings, and the end.
 
@@ -564,6 +402,5 @@ class Devices:
         """End what runs, make the rig dark, and wait for the thread."""
         self.door.command("abort")
         self.door.closing.set()
-        if self._fitter is not None:
-            self._fitter.stop()
+        self.metering.close()
         self._thread.join(15.0)

@@ -238,8 +238,7 @@ class RunPanel(ttk.Frame):
         if told.kind == "saved":
             self.saved.add(told.text)
         if told.kind == "problem":
-            text = told.text if len(told.text) < 90 else told.text[:87] + "…"
-            self.problem.configure(text=f"! {text}")
+            self._say(f"! {told.text}")
         takes = {
             "running": {"pause", "skip-group", "abort-after-group"},
             "arming": {"pause", "abort-after-group"},
@@ -248,6 +247,18 @@ class RunPanel(ttk.Frame):
         }.get(told.state, set())
         for word, button in self.buttons.items():
             button.state(["!disabled" if word in takes else "disabled"])
+
+    def _say(self, text: str) -> None:
+        """Say a problem, cut to the room there is; the log has it whole."""
+        font = self.ui.font()
+        room = self.winfo_width() - sum(b.winfo_reqwidth() for b in self.buttons.values())
+        room -= self.ui.px(48)
+        while text and font.measure(f"{text}…") > room:
+            text = text[: -max(len(text) // 12, 1)]
+            if font.measure(f"{text}…") <= room:
+                text += "…"
+                break
+        self.problem.configure(text=text)
 
     def redraw(self) -> None:
         """Draw a cell for every shot, a row for every group."""

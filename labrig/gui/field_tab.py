@@ -1,4 +1,4 @@
-"""The light field: pictures with a glyph of directions at every sampling point, two side by side."""
+"""The light field: pictures with a glyph of directions at every sampling point."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ class FieldTab(ResultTab):
                 half.pane.title += f"  {half.name[:28]}"
             half.pane.look.high = max(float(np.quantile(picture, 0.999)), 1e-30)
             half.pane.recolour()
-            half.pane.show(smooth(picture))
+            half.pane.show(smooth(picture, found.lit))
         self._read(self.halves[0])
 
     def _glyphs(self, painted: Rgb, half: Half) -> None:
@@ -144,6 +144,8 @@ class FieldTab(ResultTab):
         step = max(round(PITCH_PX * scale / node_px), 1)
         reach = REACH * step * node_px
         light = found.light_field[self.bounce - 2]
+        top, bottom, left, right = found.lit
+        light = light[top : bottom + 1, left : right + 1]
         n_y, n_x = light.shape[:2]
         rows = np.arange((n_y - 1) // 2 % step, n_y, step)
         cols = np.arange(step // 2, n_x, step)
@@ -175,7 +177,10 @@ class FieldTab(ResultTab):
         if found is None:
             return
         n_y, n_x = found.pictures.shape[1:]
-        col, row = (n_x // 6, n_y // 2) if at is None else (at[0] // FINER, at[1] // FINER)
+        top, bottom, left, _ = found.lit
+        col, row = left + 4, (top + bottom) // 2
+        if at is not None:
+            col, row = left + at[0] // FINER, top + at[1] // FINER
         col, row = min(max(col, 0), n_x - 1), min(max(row, 0), n_y - 1)
         self._draw_polar(found, row, col)
 

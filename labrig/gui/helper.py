@@ -80,9 +80,10 @@ class Helper:
                 for _, failed, _ in lost.values():
                     failed("the helper process ended in the middle of it; try again.")
                 continue
-            then, failed, progress = self._then.get(answer.job, (None, None, None))
-            if then is None or failed is None or progress is None:
+            waiting = self._then.get(answer.job)
+            if waiting is None:
                 continue
+            then, failed, progress = waiting
             if answer.kind == "progress":
                 progress(answer.value)
                 continue

@@ -29,16 +29,21 @@ def table(name: Map) -> Rgb:
 
 def levels(values: NDArray[Any], low: float, high: float, *, root: bool = False) -> Rgb:
     """Return values as levels 0 .. 255 of a range; NaN is 0. ``root`` scales by square roots."""
-    share = (values.astype(np.float32) - np.float32(low)) / np.float32(max(high - low, 1e-30))
+    span = max(high - low, 1e-30)
+    if values.dtype == np.uint16 and not root and low >= 0.0:
+        # saturates at both ends, and rounds
+        shifted = values if low == 0.0 else cv2.subtract(values, float(low))
+        return np.asarray(cv2.convertScaleAbs(shifted, alpha=255.0 / span))
+    share = (values.astype(np.float32) - np.float32(low)) / np.float32(span)
     if root:
         share = np.sqrt(np.maximum(share, 0.0))
-    scaled = np.clip(np.nan_to_num(share, nan=0.0, posinf=1.0), 0.0, 1.0) * 255.0
-    return np.asarray(scaled + 0.5, dtype=np.uint8)
+    np.nan_to_num(share, copy=False, nan=0.0, posinf=1.0, neginf=0.0)
+    return np.asarray(np.clip(share, 0.0, 1.0) * 255.0 + 0.5, dtype=np.uint8)
 
 
 def coloured(shown: Rgb, name: Map) -> Rgb:
     """Return levels (rows, cols) in the colours of a map."""
-    return np.asarray(cv2.LUT(cv2.merge([shown, shown, shown]), table(name)[None].copy()))
+    return np.asarray(cv2.applyColorMap(shown, table(name)[:, None]))
 
 
 def places(view: Viewport) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -47,7 +52,7 @@ def places(view: Viewport) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     def along(n: int, begin: float, size: int) -> NDArray[np.int64]:
         found = np.floor(begin + (np.arange(n) + 0.5) / view.zoom).astype(np.int64)
         found[(found < 0) | (found >= size)] = -1
-        return found
+        return np.asarray(found)
 
     return along(view.width, view.left, view.cols), along(view.height, view.top, view.rows)
 
@@ -64,7 +69,7 @@ def seen(values: NDArray[Any], view: Viewport) -> tuple[NDArray[Any], slice, sli
     across, down = slice(int(x[0]), int(x[-1]) + 1), slice(int(y[0]), int(y[-1]) + 1)
     cols, rows = cols[across], rows[down]
     if view.zoom >= 1.0:
-        return values[rows[:, None], cols[None, :]], down, across
+        return values.take(rows, axis=0).take(cols, axis=1), down, across
     part = values[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
     size = (cols.size, rows.size)
     return cv2.resize(part, size, interpolation=cv2.INTER_AREA), down, across
@@ -103,20 +108,23 @@ def paint(
 
 def zebra_mask(values: NDArray[Any], view: Viewport, white_level: int) -> NDArray[np.bool_]:
     """Return where in the pane a clipped pixel of the picture is shown, (height, width)."""
+    clipped = values >= white_level
+    if not clipped.any():
+        return np.zeros((view.height, view.width), np.bool_)
     cols, rows = places(view)
-    clipped = values[np.maximum(rows, 0)[:, None], np.maximum(cols, 0)[None, :]] >= white_level
-    return np.asarray(clipped & (rows >= 0)[:, None] & (cols >= 0)[None, :])
+    shown = clipped.take(np.maximum(rows, 0), axis=0).take(np.maximum(cols, 0), axis=1)
+    return np.asarray(shown & (rows >= 0)[:, None] & (cols >= 0)[None, :])
 
 
-def stripes(line: NDArray[np.uint8] | None, width: int, height: int) -> Rgb:
-    """Return a small picture of what the projector shows, lines across; dark red hatch if off."""
+def stripes(line: NDArray[np.uint8] | None, width: int, height: int, period: int) -> Rgb:
+    """Return a small picture of four periods of what the projector shows; red hatch if off."""
     picture = np.zeros((height, width, 3), np.uint8)
     if line is None:
         i, j = np.indices((height, width))
         picture[(i + j) % 8 == 0] = (96, 40, 40)
         return picture
-    zoom = 4 if line.size > 4 * height else 1
-    shown = line[np.minimum(np.arange(height) // zoom, line.size - 1)]
+    place = np.arange(height) * 4 * period // height
+    shown = line[np.minimum(place, line.size - 1)]
     picture[:] = shown[:, None, None]
     return picture
 

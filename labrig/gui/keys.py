@@ -53,20 +53,25 @@ class Keys:
                 "Space",
                 "space",
                 "hold the live picture",
-                lambda: flip(live.paused, live.tools["pause"]),
+                lambda: flip(live.tools["pause"]),
             ),
             ("S", "s", "keep this frame as a 16-bit TIFF", lambda: app.devices.snap()),
-            ("A", "a", "automatic exposure and bracket", lambda: app.devices.auto_expose()),
+            (
+                "A",
+                "a",
+                "automatic exposure and bracket",
+                lambda: app.devices.metering.auto_expose(),
+            ),
             ("0", "0", "the whole picture", self._fit),
             ("1", "1", "a pixel on a pixel", live.one),
-            ("Z", "z", "zebra over clipped pixels", lambda: flip(live.zebra, live.tools["zebra"])),
-            ("R", "r", "region that is read", lambda: flip(live.drawing_roi, live.tools["roi"])),
-            ("P", "p", "profile along the beam", lambda: flip(live.profile, live.tools["profile"])),
+            ("Z", "z", "zebra over clipped pixels", lambda: flip(live.tools["zebra"])),
+            ("R", "r", "region that is read", lambda: flip(live.tools["roi"])),
+            ("P", "p", "profile along the beam", lambda: flip(live.tools["profile"])),
             (
                 "D",
                 "d",
                 "live separation and fit",
-                lambda: flip(live.decomposing, live.tools["fit live"]),
+                lambda: flip(live.tools["fit live"]),
             ),
             ("arrows", "", "in a picture: read the next pixel; Shift ten, Ctrl pans", lambda: None),
             ("+  −", "", "in a picture: zoom at the read pixel", lambda: None),
@@ -114,7 +119,7 @@ class Keys:
             return False
         return "readonly" not in widget.state()  # type: ignore[attr-defined]
 
-    def _flip(self, of: tk.BooleanVar, widget: ttk.Widget) -> None:
+    def _flip(self, widget: ttk.Widget) -> None:
         if "disabled" not in widget.state():
             widget.invoke()  # type: ignore[attr-defined]
 
@@ -144,12 +149,12 @@ class Keys:
             return
         app = self._app
         style, px = app.style, app.style.px
-        window = tk.Toplevel(app.root, background=style.palette.card)
+        window = tk.Toplevel(app.root, background=style.palette.accent)
         window.title("Keys")
         window.transient(app.root)
         self._window = window
         body = ttk.Frame(window, style="Card.TFrame", padding=px(16))
-        body.pack(fill="both", expand=True)
+        body.pack(fill="both", expand=True, padx=px(1), pady=px(1))
         for column, (heading, table) in enumerate(
             (("ANYWHERE", self.anywhere), ("UNLESS A FIELD IS TYPED IN", self.letters))
         ):

@@ -14,7 +14,7 @@ from labrig.gui.drawer import Drawer
 from labrig.gui.images import Map
 from labrig.gui.pane import PicturePane
 from labrig.gui.style import Style
-from labrig.gui.widgets import tool, toggle
+from labrig.gui.widgets import toggle, tool
 from labrig.meters import Roi
 
 BAR_MM = (1, 2, 5, 10, 20, 50, 100, 200)
@@ -98,7 +98,7 @@ class LiveTab(ttk.Frame):
             textvariable=self.map,
             values=["cividis", "grey"],
             state="readonly",
-            width=7,
+            width=6,
             font=ui.font(),
         )
         box.pack(side="right")
@@ -150,7 +150,7 @@ class LiveTab(ttk.Frame):
             ),
         }
         for widget in self.tools.values():
-            widget.pack(side="left", padx=(0, px(3)))
+            widget.pack(side="left", padx=(0, px(2)))
 
     def _readings(self) -> tuple[ttk.Label, ttk.Label]:
         px = self.ui.px
@@ -205,7 +205,7 @@ class LiveTab(ttk.Frame):
         held = "held · " if self.paused.get() else ""
         self.readings[1].configure(
             text=f"{held}camera {camera:.0f} · shown {shown:.0f} fps · {1e3 * age_s:.0f} ms old · "
-            f"{dropped} dropped · {100 * self.pane.view.zoom:.0f} %"
+            f"{dropped} dropped · zoom {100 * self.pane.view.zoom:.0f} %"
         )
 
     def set_map(self, name: Map) -> None:
@@ -270,7 +270,7 @@ class LiveTab(ttk.Frame):
     def _read(self) -> None:
         pane = self.pane
         if pane.read_at is None or pane.value is None or self.rig is None:
-            self.readings[0].configure(text="point at a pixel, or use the arrow keys")
+            self.readings[0].configure(text="point, or arrow keys: read a pixel")
             return
         col, row = pane.read_at
         counts = int(pane.value)  # numpy's 16 bits would overflow
@@ -327,6 +327,9 @@ class LiveTab(ttk.Frame):
         length = next((mm for mm in BAR_MM if mm * per_mm > px(60)), BAR_MM[-1])
         right, y = pane.winfo_width() - px(14), pane.winfo_height() - px(14)
         left = right - length * per_mm
-        for width, colour in ((px(5), "#101418"), (px(3), "#ffffff")):
-            pane.create_line(left, y, right, y, fill=colour, width=width, tags="mark")
+        pad = px(4)
+        pane.create_rectangle(
+            left - pad, y - pad, right + pad, y + pad, fill="#101418", outline="", tags="mark"
+        )
+        pane.create_line(left, y, right, y, fill="#ffffff", width=px(3), tags="mark")
         pane.label((left + right) / 2, y - px(5), f"{length} mm", anchor="s", font="small")

@@ -41,6 +41,7 @@ class Outcomes:
         self._listed_s = 0.0
         self._drawn: set[int] = set()
         self._priced: float | None = None
+        self._newest: Path | None = None
         self._asking = False
         self._listing = False
         self.exported: list[Path] = []
@@ -71,8 +72,11 @@ class Outcomes:
     def captured(self, session: Path, *, whole: bool) -> None:
         """Take a session that a run has left; a whole one is analysed at once."""
         self._listed_s = 0.0
+        self._newest = session
         if whole:
             self.analyse(session)
+        else:
+            self._say_tabs("This session is partial: Ctrl+R takes what it lacks.")
 
     def open(self, entry: Listed) -> None:
         """Show a session's results, or say what it lacks."""
@@ -281,10 +285,10 @@ class Outcomes:
         self._listing = False
         app = self._app
         app.browser.show(entries)
-        if app.browser.selected is None and app.day.session:
-            path = next((e.path for e in entries if e.path.name == app.day.session), None)
-            if path is not None:
-                app.browser.choose(path)
+        newest = self._newest
+        if newest is not None and any(entry.path == newest for entry in entries):
+            self._newest = None
+            app.browser.choose(newest)
 
     def _not_listed(self, why: str) -> None:
         self._listing = False

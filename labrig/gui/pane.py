@@ -191,9 +191,9 @@ class PicturePane(tk.Canvas):
         self.bind("<MouseWheel>", lambda e: self._wheel(e, 1 if e.delta > 0 else -1))
         self.bind("<Double-Button-1>", lambda _e: self.fit())
         for key, dx, dy in (("Left", -1, 0), ("Right", 1, 0), ("Up", 0, -1), ("Down", 0, 1)):
-            self.bind(f"<{key}>", lambda _e, x=dx, y=dy: self._walk(x, y))
-            self.bind(f"<Shift-{key}>", lambda _e, x=dx, y=dy: self._walk(10 * x, 10 * y))
-            self.bind(f"<Control-{key}>", lambda _e, x=dx, y=dy: self._pan_by(x, y))
+            self.bind(f"<{key}>", self._by(self._walk, dx, dy))
+            self.bind(f"<Shift-{key}>", self._by(self._walk, 10 * dx, 10 * dy))
+            self.bind(f"<Control-{key}>", self._by(self._pan_by, dx, dy))
         for key in ("plus", "KP_Add", "equal"):
             self.bind(f"<{key}>", lambda _e: self._zoom(ZOOM_STEP))
         for key in ("minus", "KP_Subtract"):
@@ -238,6 +238,10 @@ class PicturePane(tk.Canvas):
                 x, y = self.view.to_pane(self.read_at[0] + 0.5, self.read_at[1] + 0.5)
             self.set_view(self.view.zoomed(factor, x, y))
         return "break"
+
+    @staticmethod
+    def _by(act: Callable[[int, int], str], dx: int, dy: int) -> Callable[[object], str]:
+        return lambda _event: act(dx, dy)
 
     def _walk(self, dx: int, dy: int) -> str:
         if self.values is not None:

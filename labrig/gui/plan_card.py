@@ -38,6 +38,7 @@ class PatternCard(Card):
         super().__init__(parent, style, "Pattern")
         px = style.px
         self._style, self._change = style, change
+        self._period = 12
         self.canvas = tk.Canvas(self.body, height=px(26), width=px(180), highlightthickness=0)
         self.canvas.pack(fill="x", pady=(0, px(4)))
         self._item = self.canvas.create_image(0, 0, anchor="nw")
@@ -97,6 +98,7 @@ class PatternCard(Card):
 
     def planned(self, plan: Planned) -> None:
         """Show the plan as it holds."""
+        self._period = plan.period_px
         self.period.hold(str(plan.period_px))
         self.shifts.hold(str(plan.shifts))
         self.bracket.hold(" ".join(f"{1e3 * e:.4g}" for e in plan.bracket_s))
@@ -114,7 +116,7 @@ class PatternCard(Card):
         width, height = self.canvas.winfo_width(), self.canvas.winfo_height()
         if width < 10 or height < 4:
             return
-        picture = stripes(line, width, height)
+        picture = stripes(line, width, height, self._period)
         self._photo = ImageTk.PhotoImage(Image.fromarray(picture), master=self.canvas)
         self.canvas.itemconfigure(self._item, image=self._photo)
 
@@ -155,6 +157,7 @@ class CaptureCard(Card):
         px = style.px
         self.cost = ttk.Label(self.body, text="", style="Card.TLabel")
         self.cost.pack(anchor="w")
+        self.expected = ttk.Label(self.body, text="", style="CardSmall.TLabel")
         self.verdict = ttk.Label(self.body, text="", style="CardOk.TLabel")
         self.verdict.pack(anchor="w", fill="x")
         self._verdicts = ""
@@ -172,17 +175,12 @@ class CaptureCard(Card):
         """Show price and verdicts; ``uncertainty`` of sigma_t per mm, NaN while unknown."""
         total = sum(plan.seconds.values())
         shots = sum(len(ids) for _, ids in plan.groups)
-        sure = "" if math.isnan(uncertainty) else f" · σₜ ± {uncertainty:.1g}"
-        self.cost.configure(
-            text=f"{shots} shots · {total:.0f} s · {plan.n_bytes / 1e6:.0f} MB{sure}"
-        )
+        self.cost.configure(text=f"{shots} shots · {total:.0f} s · {plan.n_bytes / 1e6:.0f} MB")
+        if not math.isnan(uncertainty):
+            self.expected.configure(text=f"expected σₜ ± {uncertainty:.1g} /mm")
+            self.expected.pack(anchor="w", after=self.cost)
         parts = "\n".join(f"{n.replace('_', ' ')}: {s:.1f} s" for n, s in plan.seconds.items())
-        expected = (
-            ""
-            if math.isnan(uncertainty)
-            else "\nσₜ ± is what shot noise will leave, from the live fit"
-        )
-        self._seconds = parts + expected
+        self._seconds = f"{parts}\nσₜ ± is what shot noise will leave, by the live fit (D)"
         refused = [v for v in plan.verdicts if v.word == "refused"]
         noted = [v for v in plan.verdicts if v.word == "note"]
         self._verdicts = "\n".join(f"{v.word}: {v.text}" for v in plan.verdicts)

@@ -18,7 +18,6 @@ from labrig.gui.curves import (
     tick_text,
     ticks,
 )
-from labrig.gui.images import outline
 from labrig.gui.palette import rgb
 from labrig.gui.style import Style
 
@@ -108,16 +107,11 @@ class PlotPane(tk.Canvas):
         n_y = max((frame.bottom - frame.top) // (2 * line), 1)
         n_x = max((frame.right - frame.left) // (5 * line), 2)
         x_ticks = ticks(*frame.x, n_x)
+        grid = [(2 * a + b) // 3 for a, b in zip(rgb(p.field), rgb(p.line), strict=True)]
         step = x_ticks[1] - x_ticks[0] if len(x_ticks) > 1 else 1.0
         for value in x_ticks:
             x = float(frame.at(np.array([value]), np.array([frame.y[1]]))[0, 0])
-            outline(
-                picture,
-                np.array([[x, frame.top], [x, frame.bottom]]),
-                p.line,
-                width=1,
-                closed=False,
-            )
+            picture[frame.top : frame.bottom, min(round(x), frame.right)] = grid
             self.create_text(
                 x,
                 frame.bottom + px(3),
@@ -128,13 +122,7 @@ class PlotPane(tk.Canvas):
             )
         for value, text in self._y_ticks(frame.y, n_y):
             y = float(frame.at(np.array([frame.x[0]]), np.array([value]))[0, 1])
-            outline(
-                picture,
-                np.array([[frame.left, y], [frame.right, y]]),
-                p.line,
-                width=1,
-                closed=False,
-            )
+            picture[min(round(y), frame.bottom), frame.left : frame.right] = grid
             self.create_text(frame.left - px(5), y, text=text, anchor="e", font=small, fill=p.dim)
 
     def _text(self, x: int, y: int, text: str, *, anchor: Any, bold: bool = False) -> None:

@@ -44,10 +44,13 @@ def judge(day: Day) -> list[tuple[bool, str]]:
         ),
         (day.connected and day.exposure_fits, day.exposure_why or "press A for automatic exposure"),
         (
-            bool(day.session) and day.session_whole,
+            bool(day.session) and day.session_whole and not day.capturing,
             "capturing" if day.capturing else "press F5; the session must become complete",
         ),
-        (day.analysed, "analysing" if day.analysing else "no session is analysed yet"),
+        (
+            day.analysed and not day.analysing,
+            "analysing" if day.analysing else "no session is analysed yet",
+        ),
         (day.exported, "nothing of this session was exported yet"),
     ]
 

@@ -14,7 +14,7 @@ from labrig.gui.pane import Linked, PicturePane
 from labrig.gui.plot import PlotPane
 from labrig.gui.style import Style
 from labrig.gui.table import Numbers
-from labrig.gui.widgets import Tip, tool, toggle
+from labrig.gui.widgets import Tip, toggle, tool
 from labrig.shown import Decay, Shown
 
 NUMBERS_PX = 220
@@ -191,10 +191,10 @@ class AttenuationTab(ResultTab):
             self.say("This analysis stopped after the separation: there is no decay to show.")
             return
         looks, p = self.ui.palette.curves, self.ui.palette
-        curves, rests, notes = [], [], []
+        curves, rests = [], []
         deepest = max(d.fitted[1] for d in shown.decays)
         for k, decay in enumerate(shown.decays):
-            of, fit_of = looks[(4, 1)[k % 2]], looks[0]
+            of = looks[(4, 1)[k % 2]]
             curves.append(
                 Curve(
                     x=decay.depth,
@@ -205,12 +205,12 @@ class AttenuationTab(ResultTab):
                 )
             )
             if decay.sigma_t:
-                dashes = () if k else looks[1][1]
+                dashes = () if k or len(shown.decays) == 1 else looks[1][1]
                 curves.append(
                     Curve(
                         x=decay.depth,
                         y=decay.fit,
-                        look=(fit_of[0], dashes, ""),
+                        look=(p.text, dashes, ""),
                         name=f"its exponential, σₜ = {decay.sigma_t} /{shown.unit}",
                     )
                 )
@@ -222,7 +222,6 @@ class AttenuationTab(ResultTab):
                 x_range=(0.0, 1.3 * deepest),
                 y_label="light (counts/s)",
                 x_label="",
-                notes=tuple(notes),
             )
         )
         zero = Curve(

@@ -137,7 +137,7 @@ class Style:
             "relief": "flat",
         }
         style.configure("TButton", **button)
-        style.configure("Tool.TButton", **button | {"padding": (px(6), px(2))})
+        style.configure("Tool.TButton", **button | {"padding": (px(5), px(2))})
         style.configure("Bad.TButton", **button | {"foreground": p.bad})
         style.configure(
             "Step.TButton",
@@ -209,7 +209,7 @@ class Style:
             darkcolor=[("disabled", p.raised)],
         )
         on = [("selected", p.select)]
-        style.configure("Toggle.Toolbutton", **button | {"padding": (px(6), px(2))})
+        style.configure("Toggle.Toolbutton", **button | {"padding": (px(5), px(2))})
         style.map(
             "Toggle.Toolbutton",
             background=[*on, ("active", p.line)],
@@ -233,7 +233,11 @@ class Style:
             "padding": (px(4), px(2)),
         }
         for name in ("TEntry", "TSpinbox", "TCombobox"):
-            extra = {} if name == "TEntry" else {"arrowsize": px(10)}
+            extra = {
+                "TEntry": {},
+                "TSpinbox": {"arrowsize": px(9)},
+                "TCombobox": {"arrowsize": px(13)},
+            }[name]
             style.configure(name, **field | extra)
             style.map(
                 name,
@@ -242,6 +246,7 @@ class Style:
                 fieldbackground=[("disabled", p.card), ("readonly", p.field)],
                 foreground=[("disabled", p.dim)],
                 arrowcolor=[("disabled", p.dim)],
+                background=[("active", p.line), ("readonly", p.raised)],
                 selectbackground=[("focus", p.select), ("!focus", p.field)],
                 selectforeground=[("focus", p.on_select), ("!focus", p.text)],
             )

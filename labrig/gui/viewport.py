@@ -32,13 +32,13 @@ class Viewport:
         """Return the view of the whole picture, centred."""
         zoom = min(self.width / self.cols, self.height / self.rows)
         zoom = min(max(zoom, SMALLEST), LARGEST)
-        return replace(self._centred(zoom, 0.5 * self.cols, 0.5 * self.rows), fitted=True)
+        return replace(self.centred(zoom, 0.5 * self.cols, 0.5 * self.rows), fitted=True)
 
     def resized(self, width: int, height: int) -> Viewport:
         """Return the view in a pane of another size; its middle stays, or the fit."""
         x, y = self.to_picture(0.5 * self.width, 0.5 * self.height)
         sized = replace(self, width=max(width, 1), height=max(height, 1))
-        return sized.fit() if self.fitted else sized._centred(self.zoom, x, y)
+        return sized.fit() if self.fitted else sized.centred(self.zoom, x, y)
 
     def of(self, cols: int, rows: int) -> Viewport:
         """Return the view of a picture of another size."""
@@ -77,6 +77,7 @@ class Viewport:
             return None
         return math.floor(col), math.floor(row)
 
-    def _centred(self, zoom: float, x: float, y: float) -> Viewport:
+    def centred(self, zoom: float, x: float, y: float) -> Viewport:
+        """Return the view of a zoom with a place of the picture in the pane's middle."""
         left, top = x - 0.5 * self.width / zoom, y - 0.5 * self.height / zoom
         return replace(self, zoom=zoom, left=left, top=top)

@@ -117,7 +117,6 @@ class NumberField(ttk.Frame):
         self.entry.bind("<FocusOut>", self._done)
         self.entry.bind("<Escape>", self._back)
         if step:
-            self.entry.configure(command="")
             self.entry.bind("<<Increment>>", lambda _e: self._by(+1))
             self.entry.bind("<<Decrement>>", lambda _e: self._by(-1))
 

@@ -38,12 +38,22 @@ class Display:
             pytest.skip("Xvfb is not installed: apt-get install xvfb")
         read, write = os.pipe()
         self._process = subprocess.Popen(
-            ["Xvfb", "-displayfd", str(write), "-screen", "0", f"{width}x{height}x24", "-dpi",
-             "96", "-nolisten", "tcp"],
+            [
+                "Xvfb",
+                "-displayfd",
+                str(write),
+                "-screen",
+                "0",
+                f"{width}x{height}x24",
+                "-dpi",
+                "96",
+                "-nolisten",
+                "tcp",
+            ],
             pass_fds=[write],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            preexec_fn=die_with_parent,
+            preexec_fn=die_with_parent,  # noqa: PLW1509 - no thread runs yet
         )
         os.close(write)
         with os.fdopen(read) as answer:
@@ -98,7 +108,7 @@ class Window:
         self.errors.append(error)
 
     def pump(self, until: Callable[[], object] = lambda: False, limit_s: float = 30.0) -> bool:
-        """Let the window live until something holds or the time is over; return whether it holds."""
+        """Let the window live until something holds, or a time is over; return whether it does."""
         end = time.monotonic() + limit_s
         while time.monotonic() < end:
             self.root.update()
@@ -123,8 +133,9 @@ class Window:
 
     def connected(self, limit_s: float = 120.0) -> None:
         """Wait for live pictures."""
-        assert self.pump(lambda: self.app.live.picture is not None and self.app.devices.plan,
-                         limit_s), self.log
+        assert self.pump(
+            lambda: self.app.live.picture is not None and self.app.devices.plan, limit_s
+        ), self.log
 
     @property
     def log(self) -> list[tuple[str, str, str]]:
