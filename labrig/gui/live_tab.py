@@ -270,7 +270,7 @@ class LiveTab(ttk.Frame):
     def _read(self) -> None:
         pane = self.pane
         if pane.read_at is None or pane.value is None or self.rig is None:
-            self.readings[0].configure(text="point, or arrow keys: read a pixel")
+            self.readings[0].configure(text="point at a pixel")
             return
         col, row = pane.read_at
         counts = int(pane.value)  # numpy's 16 bits would overflow

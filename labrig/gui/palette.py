@@ -91,7 +91,7 @@ DARK = Palette(
     on_select="#ffffff",
     ok="#62cba6",
     warn="#ecc057",
-    bad="#ff7a70",
+    bad="#ff857c",
     on_bad="#2a0604",
     curves=_looks("#E69F00", "#56B4E9", "#009E73", "#F0E442", "#CC79A7", "#D55E00"),
 )

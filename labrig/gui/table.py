@@ -47,13 +47,13 @@ class Numbers(ttk.Frame):
             selectbackground=p.select,
             selectforeground=p.on_select,
         )
-        tabs = (px(290), px(480)) if self._quality else ()
+        tabs = (px(250), px(420)) if self._quality else ()
         text.configure(tabs=tabs)
         text.tag_configure(
             "head", font=font("head"), foreground=p.dim, spacing1=px(8), spacing3=px(2)
         )
         text.tag_configure("name", foreground=p.dim, font=font("small"), spacing1=px(4))
-        text.tag_configure("plain", spacing1=px(3), lmargin2=px(290))
+        text.tag_configure("plain", spacing1=px(3), lmargin2=px(250))
         text.tag_configure("value", font=font("bold"))
         text.tag_configure("dim", foreground=p.dim, font=font("small"))
         text.tag_configure(
@@ -91,7 +91,7 @@ class Numbers(ttk.Frame):
             known = truth not in ("", "—") and off not in ("", "—")
             text.insert("end", f"{name}\t", "plain")
             text.insert("end", value, "value")
-            text.insert("end", f" {unit}\t" + (f"truth {truth}, off {off}" if known else ""), "dim")
+            text.insert("end", f" {unit}\t" + (f"truth {truth} ({off})" if known else ""), "dim")
             text.insert("end", "\n")
             return
         text.insert("end", f"{name}\n", "name")

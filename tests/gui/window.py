@@ -82,6 +82,7 @@ class Window:
         plan: Path | None = None,
         scale: float | None = None,
         size: tuple[int, int] | None = None,
+        helper: bool = True,
         **settings: Any,
     ) -> None:
         self.display = display
@@ -101,6 +102,8 @@ class Window:
             settings=file,
         )
         self.app = App(self.root, places, found, scale=scale)
+        if not helper:  # which loads the solvers, seconds of processor time
+            self.app.outcomes._begun_s = float("inf")
         self.root.update()
         self.root.focus_force()
 
