@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from labrig.gui.app import App
 
 METER_S = 0.25  # between two readings of histogram and focus
-SILENCE_S = 2.0  # without a picture, which the operator is told
+SILENCE_S = 4.0  # without a picture and without a word of the station, which says so after two
 
 
 class Devices:

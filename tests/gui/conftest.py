@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -25,11 +26,15 @@ def window(
     small_scene: Path,
     small_plan: Path,
 ) -> Iterator[Window]:
-    """A window on the small simulated rig, connected; tests of a module share it, in order."""
+    """A window on the small simulated rig in real time; tests of a module share it, in order."""
+    folder = tmp_path_factory.mktemp("window")
+    rig = folder / "real-time.yaml"
+    text = small_rig.read_text(encoding="utf-8")
+    rig.write_text(f"{text}simulation: {{clock: real}}\n", encoding="utf-8")
     opened = Window(
         display,
-        tmp_path_factory.mktemp("window"),
-        rig=small_rig,
+        folder,
+        rig=rig,
         scene=small_scene,
         plan=small_plan,
         scale=1.0,
@@ -38,3 +43,12 @@ def window(
     opened.connected()
     yield opened
     opened.close()
+
+
+@pytest.fixture(autouse=True)
+def _no_collection_elsewhere() -> Iterator[None]:
+    """Let no other thread free a closed window: Tcl ends the process that does."""
+    gc.disable()
+    yield
+    gc.collect()
+    gc.enable()

@@ -78,9 +78,9 @@ def clipped(window: Window) -> list[str]:
     return found
 
 
-def strike(window: Window, kind: str, times: int = 1) -> None:
+def strike(window: Window, kind: str, times: int = 1, shot: str | None = None) -> None:
     """Let a fault strike the simulated rig from now on."""
-    script = FaultScript([Fault(kind=kind, times=times)])
+    script = FaultScript([Fault(kind=kind, times=times, shot=shot)])
     done = threading.Event()
 
     def inject(station) -> None:
@@ -205,10 +205,10 @@ def test_readout_is_the_raw_count_under_the_pixel(window: Window):
 
 def test_zebra_is_seen_where_the_picture_clips(window: Window):
     window.app.show_tab(0)
-    window.app.devices.expose(5.0, 0.0)
+    window.app.devices.expose(1.0, 0.0)
     assert window.pump(
         lambda: (
-            window.app.live.picture.exposure_s == 5.0
+            window.app.live.picture.exposure_s == 1.0
             and window.app.histogram.meter.saturated > 0.01
         ),
         LONG_S,
@@ -331,7 +331,7 @@ def test_abort_stops_at_once_and_leaves_a_partial_session_that_resumes(window: W
 def test_a_full_disk_pauses_and_is_mended(window: Window):
     devices = window.app.devices
     assert window.pump(lambda: devices.rig is not None and not devices.running, LONG_S)
-    strike(window, "disk-full", times=8)
+    strike(window, "disk-full", times=8, shot="stripes-e0-r0-p03")
     window.key("F5")
     assert window.pump(lambda: "disk" in window.app.banner.text or not devices.running, LONG_S), (
         window.log
@@ -473,7 +473,8 @@ def test_a_killed_window_loses_no_frame(
         "if __name__ == '__main__':\n"
         "    from window import Window\n"
         f"    w = Window(Named(), Path({str(tmp_path)!r}), rig=Path({str(slow)!r}),\n"
-        f"               scene=Path({str(small_scene)!r}), plan=Path({str(small_plan)!r}), helper=False)\n"
+        f"               scene=Path({str(small_scene)!r}),\n"
+        f"               plan=Path({str(small_plan)!r}), helper=False)\n"
         "    w.connected(240); w.key('F5')\n"
         "    w.pump(lambda: w.app.devices.run and w.app.devices.run.saved >= 4, 240)\n"
         "    print(w.app.devices.run.saved, flush=True); w.pump(limit_s=240)\n",
