@@ -28,6 +28,8 @@ class DepthProfile:
         of the rows where that is unknown
     n_rows : (n,), pixels in each mean
     detected_share : (n,), share of these pixels whose light was detected
+    rows : (n_rows, n) float32, the pixels themselves, NaN where one is not used; a slanted beam's
+        are those of the picture
     """
 
     depth_mm: Array
@@ -35,6 +37,7 @@ class DepthProfile:
     std: Array
     n_rows: NDArray[np.int64]
     detected_share: Array
+    rows: NDArray[np.float32]
 
 
 def depth_profile(
@@ -87,6 +90,7 @@ def depth_profile(
         std=np.sqrt(of_one / counted)[keep],
         n_rows=n[keep],
         detected_share=(seen.sum(axis=0) / counted)[keep],
+        rows=np.where(use, picture, np.nan)[use.any(axis=1)][:, keep].astype(np.float32),
     )
 
 

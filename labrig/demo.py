@@ -8,6 +8,7 @@ from pathlib import Path
 
 import labrig
 from labrig.config import config_folder
+from labrig.pipeline import STAGES
 
 Counted = Callable[[str, int, int], None]
 
@@ -52,13 +53,12 @@ def run(
         folder / "rigs" / "simulated.yaml", milk, plan, progress=follow("light")
     ) as rig:
         session = labrig.capture(plan, rig, out, progress=follow("capture"))
-    stages = ("linearise", "rectify", "separate", "attenuate", "bounces", "invert", "write")
     result = labrig.analyse(
         session,
         folder / "analyses" / "default.yaml",
-        progress=lambda stage: follow("analyse")(stages.index(stage), len(stages)),
+        progress=lambda stage: follow("analyse")(STAGES.index(stage), len(STAGES)),
     )
-    follow("analyse")(len(stages), len(stages))
+    follow("analyse")(len(STAGES), len(STAGES))
     page = labrig.report(result)
     parameters = {
         name: Recovered(truth=true, value=result.run[name]["value"], std=result.run[name]["std"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -17,13 +17,48 @@ from labrig.config import parse
 from labrig.corrections import Corrections
 from labrig.errors import AnalysisRefusedError
 from labrig.models.plan import Shot
-from labrig.models.setup import Setup
+from labrig.models.setup import Setup, StripesConfig
 from labrig.session import Session
 
 Array = NDArray[np.float64]
 T = TypeVar("T", bound=np.generic)
 
 LIGHT = frozenset({"stripes", "white", "black", "ambient"})  # roles that are merged and separated
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Series:
+    """One series of shifted stripes.
+
+    Attributes
+    ----------
+    net, variance : (n_shifts, rows, cols) float32, counts/s, black subtracted
+    duty, low, high : lit share of the period; light of dark and lit stripes, shares of white
+    square : whether the stripes are lit and dark, not a sinusoid
+    contrast : c1 against depth, if it was measured
+    """
+
+    net: NDArray[np.float32]
+    variance: NDArray[np.float32]
+    duty: float = 0.5
+    low: float = 0.0
+    high: float = 1.0
+    square: bool = True
+    contrast: Callable[[Array], Array] | None = None
+
+    @classmethod
+    def main(cls, pictures: Pictures, setup: Setup) -> Series:
+        """Return the series that is separated."""
+        stripes = setup.stripes or StripesConfig()
+        return cls(
+            net=pictures.stripes,
+            variance=pictures.stripes_variance,
+            duty=stripes.duty,
+            low=stripes.low,
+            high=stripes.high,
+            square=stripes.profile == "square",
+            contrast=pictures.contrast,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,6 +79,8 @@ class Pictures:
     unit : "mm", or "px" where the scale is unknown
     saturated_fraction : pixels without any unsaturated exposure
     notes : what was missing and what was done instead
+    contrast : c1 of ``stripes`` against depth, if a record knows it
+    more : series of stripes of other periods
     """
 
     stripes: NDArray[np.float32]
@@ -59,6 +96,8 @@ class Pictures:
     unit: str
     saturated_fraction: float
     notes: tuple[str, ...]
+    contrast: Callable[[Array], Array] | None = None
+    more: tuple[Series, ...] = ()
 
 
 def linearise(
@@ -203,6 +242,9 @@ def rectify(
         unit=unit,
         saturated_fraction=float(np.mean(np.any(lost, axis=0))),
         notes=tuple(notes),
+        contrast=None
+        if known.projected is None or known.projected.contrast is None
+        else known.projected.contrast.at,
     )
 
 

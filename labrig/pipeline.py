@@ -9,6 +9,7 @@ from typing import Literal
 
 from labrig.config import parse
 from labrig.corrections import gather
+from labrig.joint_step import fit_joint
 from labrig.linearise import linearise, rectify
 from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
@@ -18,6 +19,16 @@ from labrig.session import Session
 from labrig.steps import attenuate, explain, render_bounces, separate
 
 Until = Literal["separation", "results"]
+STAGES = (
+    "linearise",
+    "rectify",
+    "separate",
+    "attenuate",
+    "stripes",
+    "bounces",
+    "invert",
+    "write",
+)
 
 
 class Stopwatch:
@@ -65,7 +76,7 @@ def analyse(
     session = Session.open(session_path)
     setup = parse(session.header.get("setup"), Setup, source=f"{session_path}: setup")
     known = gather(session, setup, config)
-    decay = explained = None
+    decay = joint = explained = None
 
     watch.start("linearise")
     radiances = linearise(session, setup, known)
@@ -76,10 +87,12 @@ def analyse(
     if until == "results":
         watch.start("attenuate")
         decay = attenuate(separated, pictures, setup, config)
+        watch.start("stripes")
+        joint = fit_joint(pictures, setup, config, decay)
         watch.start("bounces")
         table = render_bounces(decay, pictures, config)
         watch.start("invert")
-        explained = explain(separated, decay, table, pictures)
+        explained = explain(separated, decay, table, pictures, joint.medium)
     watch.start("write")
     outcome = Outcome(
         session=session,
@@ -89,6 +102,7 @@ def analyse(
         pictures=pictures,
         separated=separated,
         decay=decay,
+        joint=joint,
         explained=explained,
         seconds=watch.seconds,
     )

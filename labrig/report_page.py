@@ -284,9 +284,10 @@ def _extinctions(
     others = run.get("alternatives", {})
     method = run.get("method", {}).get("separation", UNKNOWN)
     for source, found in (
-        (f"single scattering, {method} (chosen)", run),
-        ("single scattering, extrema (Eq. 7)", others.get("extrema")),
-        ("light without separation", others.get("unseparated")),
+        (f"{run.get('method', {}).get('parameters', 'light')} (chosen)", run),
+        (f"Eq. 9 on single scattering, {method} (the paper)", others.get("separated")),
+        ("Eq. 9 on single scattering, extrema (Eq. 7)", others.get("extrema")),
+        ("Eq. 9 on light without separation", others.get("unseparated")),
     ):
         if found is None:
             yield Extinction(

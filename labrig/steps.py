@@ -18,6 +18,7 @@ from analysis.errors import AnalysisError
 from analysis.inversion import Inversion, invert
 from analysis.light_field import BounceField, Grid
 from analysis.medium import Beam, Medium, Tank
+from analysis.phase_function import UNRESOLVED
 from analysis.profile import WHOLE, DepthProfile, depth_profile, measure_beam
 from analysis.separation import (
     Method,
@@ -74,7 +75,11 @@ class Decay:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Explained:
-    """The medium whose bounces explain the multiple scattering, and these bounces."""
+    """The bounces of the medium found.
+
+    ``inversion`` is the medium that the paper's way finds (Eqs. 9, 10), ``bounces`` are of the
+    one taken for the truth.
+    """
 
     inversion: Inversion
     multiple: Array
@@ -265,9 +270,15 @@ def render_bounces(decay: Decay, pictures: Pictures, config: Analysis) -> Bounce
 
 
 def explain(
-    separated: Separated, decay: Decay, table: BounceTable, pictures: Pictures
+    separated: Separated,
+    decay: Decay,
+    table: BounceTable,
+    pictures: Pictures,
+    known: Medium | None = None,
 ) -> Explained:
     """Find sigma_s and g whose bounces explain the multiple scattering (Eqs. 10, 11).
+
+    The bounces returned are those of the medium ``known`` better, if there is one.
 
     Raises
     ------
@@ -306,9 +317,17 @@ def explain(
         inversion=found,
         multiple=multiple,
         grid=grid,
-        bounces=solve_on(medium, decay.beam, grid, n_bounces=n_bounces),
-        notes=tuple(notes),
+        bounces=solve_on(known or medium, decay.beam, _resolving(grid, known), n_bounces=n_bounces),
+        notes=tuple(notes) if known is None else (),
     )
+
+
+def _resolving(grid: Grid, medium: Medium | None) -> Grid:
+    """Return the grid with directions enough for a medium."""
+    n_theta = grid.n_theta
+    while medium is not None and abs(medium.g) ** (n_theta // 2) > UNRESOLVED:
+        n_theta += 32
+    return replace(grid, n_theta=n_theta)
 
 
 def _beam(pictures: Pictures, setup: Setup) -> tuple[Beam, tuple[str, ...]]:

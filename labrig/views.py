@@ -149,7 +149,7 @@ def decays(result: Result) -> list[DecayView]:
         _decay(result, name, title, of)
         for name, title, of in (
             ("white", "without separation", "unseparated"),
-            ("single", "single scattering", None),
+            ("single", "single scattering", "separated"),
         )
         if f"{name}_profile" in result.fields
     ]
@@ -289,16 +289,17 @@ def power_of_ten(value: float, _position: int | None = None) -> str:
     return ("" if lead == 1 else f"{lead}·") + f"10{str(power).translate(_RAISED)}"
 
 
-def _decay(result: Result, name: str, title: str, of: str | None) -> DecayView:
-    """Return a profile and its fit; ``of`` names the alternative it belongs to, if it is one."""
+def _decay(result: Result, name: str, title: str, of: str) -> DecayView:
+    """Return a profile and its fit; ``of`` names the alternative it belongs to."""
     depth, value, std, fit = (
         result.fields[f"{name}_{what}"].values
         for what in ("depth", "profile", "profile_std", "profile_fit")
     )
     unit, run = length_unit(result), result.run
-    holder = run if of is None else run.get("alternatives", {}).get(of, {})
+    holder = run.get("alternatives", {}).get(of, {})
     found = holder.get(f"sigma_t_per_{unit}")
-    quality = run.get("quality", {}).get("attenuation" if of is None else f"attenuation_{of}", {})
+    key = "attenuation" if of == "separated" else f"attenuation_{of}"
+    quality = run.get("quality", {}).get(key, {})
     low, high = quality.get("depth_range", (depth[0], depth[-1]))
     return DecayView(
         title=title,

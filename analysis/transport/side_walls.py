@@ -1,0 +1,110 @@
+"""What the black side walls of a tank take away from the waves along its face.
+
+A wave along the face is a calculation in depth alone only where no side wall is near. The
+difference that they make is small and smooth; it is that of two solutions on the same coarse
+grid, one of the tank and one of a tank so wide that its walls do not matter, so that the grid's
+own error cancels.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from analysis.light_field import Grid
+from analysis.medium import Beam, Medium, Tank
+from analysis.phase_function import Array, power_removed
+from analysis.transport.ordinates import bounce_weight, march
+
+ComplexArray = NDArray[np.complex128]
+
+CELL_TAU = 0.5  # optical size of a cell, where the tank has room for as many
+MIN_CELLS = 24  # across the tank
+MAX_CELLS = 120
+TAIL = 1e-3  # of the energy, in bounces left out
+MAX_BOUNCES = 200
+RESOLVED = 5e-3  # of g^(n/2), n directions
+PEAKED = 0.8  # a larger asymmetry is exchanged for this one
+
+
+def side_wall_loss(
+    medium: Medium,
+    tank: Tank,
+    beam: Beam,
+    *,
+    wavenumber_per_mm: Array,
+    origin_mm: float,
+    x_mm: Array,
+) -> ComplexArray:
+    """Return what the side walls change of ``int phi exp(-i q (y - y_0)) dy``, (n_q, n_x), mm.
+
+    phi is the fluence of all bounces from the second on, of a beam of irradiance one (or its
+    profile); the integral runs over the tank's width with walls, over everything without. What
+    reaches a side wall has been scattered often: a forward-peaked medium is exchanged for the
+    similar one of equal absorption and equal sigma_s (1 - g), at a tenth of the cost and within 5
+    percent of the loss at g = 0.9.
+    """
+    medium = _similar(medium)
+    cells = math.ceil(tank.width_mm * medium.sigma_t_per_mm / CELL_TAU)
+    n_y = min(MAX_CELLS, max(MIN_CELLS, cells))
+    n_x = max(16, round(tank.depth_mm / tank.width_mm * n_y))
+    n_x = min(MAX_CELLS, n_x)
+    with_walls = _waves(medium, tank, beam, (n_x, n_y), wavenumber_per_mm, origin_mm)
+    width = tank.width_mm
+    wide = Tank(depth_mm=tank.depth_mm, width_mm=3.0 * width)
+    profile = None if beam.profile is None else tuple((y + width, e) for y, e in beam.profile)
+    middle = Beam(
+        from_mm=beam.from_mm + width,
+        to_mm=beam.to_mm + width,
+        angle_deg=beam.angle_deg,
+        profile=profile,
+    )
+    without = _waves(medium, wide, middle, (n_x, 3 * n_y), wavenumber_per_mm, origin_mm + width)
+    nodes = np.linspace(0.0, tank.depth_mm, n_x + 1)
+    return np.asarray(CubicSpline(nodes, with_walls - without, axis=1)(x_mm))
+
+
+def _waves(
+    medium: Medium,
+    tank: Tank,
+    beam: Beam,
+    n_cells: tuple[int, int],
+    wavenumber_per_mm: Array,
+    origin_mm: float,
+) -> ComplexArray:
+    """Return the scattered fluence by waves along the face, (n_q, n_x)."""
+    n_theta = 32
+    while abs(medium.g) ** (n_theta // 2) > RESOLVED:
+        n_theta += 32
+    grid = Grid(tank=tank, n_x=n_cells[0] + 1, n_y=n_cells[1] + 1, n_theta=n_theta)
+    total = np.zeros((grid.n_y, grid.n_x))
+    bounces = _bounces_for(medium)
+    for k, radiance in enumerate(
+        march(medium, beam, grid, n_bounces=bounces, dtype=np.float32), start=2
+    ):
+        total += bounce_weight(medium, k, radiance.log_scale) * radiance.fluence
+    step = np.full(grid.n_y, grid.cell_y_mm)
+    step[[0, -1]] *= 0.5
+    wave = np.exp(-1j * np.outer(wavenumber_per_mm, grid.y_mm - origin_mm)) * step
+    return np.asarray(wave @ total)
+
+
+def _similar(medium: Medium) -> Medium:
+    """Return the medium of asymmetry 0.8 in which diffuse light spreads alike."""
+    if medium.g <= PEAKED or medium.phase != "hg-plane":
+        return medium
+    sigma_s = medium.sigma_s_per_mm * (1.0 - medium.g) / (1.0 - PEAKED)
+    absorbed = medium.sigma_t_per_mm - medium.sigma_s_per_mm
+    return Medium(sigma_t_per_mm=absorbed + sigma_s, sigma_s_per_mm=sigma_s, g=PEAKED)
+
+
+def _bounces_for(medium: Medium) -> int:
+    kept = medium.albedo * power_removed(medium.g, medium.phase)
+    if kept <= 0.0:
+        return 2
+    if kept >= 1.0:
+        return MAX_BOUNCES
+    return min(MAX_BOUNCES, max(4, math.ceil(math.log(TAIL) / math.log(kept)) + 1))

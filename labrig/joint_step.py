@@ -1,0 +1,305 @@
+"""The step that fits one medium to stripes and white light together, as a session allows it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.errors import AnalysisError
+from analysis.medium import Beam, Medium, Phase, Tank
+from analysis.spectrum import (
+    Bins,
+    StripeWave,
+    WhiteLight,
+    demodulate,
+    measured_contrast,
+    stripe_wave,
+    third_harmonic,
+    white_light,
+)
+from analysis.stripe_aware import (
+    Observed,
+    SideWalls,
+    StripeAware,
+    fit_stripe_aware,
+    stripe_answer,
+)
+from analysis.transport.side_walls import side_wall_loss
+from calibration.errors import CalibrationError
+from labrig.linearise import Pictures, Series
+from labrig.models.analysis import Analysis
+from labrig.models.setup import Setup
+from labrig.steps import Decay
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+BIN_TAU = 0.05  # optical depth gathered to one value
+MAX_BINS = 400
+NEAR_TAU = 0.6  # optical depth within which the stripes' contrast is measured
+N_WAVES = 3  # of the white light along the face, besides its sum
+OFF_PERIOD = 0.02  # the stripes' measured period against the one that was set
+OFF_SLANT_DEG = 1.0
+OFF_MODEL = 4.0  # chi^2 per degree of freedom at which the model does not hold
+ILL = 1000.0  # condition number above which the data do not tell the parameters apart
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Joint:
+    """What stripes and white light together say.
+
+    Attributes
+    ----------
+    observed, fit : None where no such fit exists; the notes say why
+    other_phase : the medium by the other phase function, likewise fitted
+    share : (n_periods, n_x), part of the stripes' light that was scattered once; NaN outside
+    """
+
+    observed: Observed | None
+    fit: StripeAware | None
+    other_phase: StripeAware | None
+    share: Array | None
+    notes: tuple[str, ...]
+
+    @property
+    def medium(self) -> Medium | None:
+        """The medium found."""
+        return None if self.fit is None else self.fit.medium
+
+
+def fit_joint(pictures: Pictures, setup: Setup, config: Analysis, decay: Decay) -> Joint:
+    """Fit sigma_t, sigma_s and g to the stripes of every period and the white light."""
+    guess = decay.attenuation.sigma_t_per_mm
+    try:
+        seen = observe(pictures, setup, guess, decay.tank)
+        walls = _walls(decay.tank, decay.beam, seen.observed)
+        observed, fit = fit_seen(seen, guess, config.phase, walls)
+    except (AnalysisError, CalibrationError) as error:
+        note = (
+            f"No fit of stripes and white light together ({error}) The values are those of Eqs. 9 "
+            "and 10, which take the separated light for free of low orders of multiple scattering."
+        )
+        return Joint(observed=None, fit=None, other_phase=None, share=None, notes=(note,))
+    share = np.full(fit.stripe_fit.shape, np.nan)
+    slope, sigma_t = observed.slope, fit.medium.sigma_t_per_mm
+    for row, model, stripe in zip(share, fit.stripe_fit, observed.stripes, strict=True):
+        use = np.isfinite(model)
+        x_mm, q = observed.x_mm[use], stripe.wavenumber_per_mm
+        every = stripe_answer(fit.medium, q, x_mm, depth_mm=observed.depth_mm, slope=slope)
+        row[use] = np.exp(-sigma_t * x_mm * math.hypot(1.0, slope)) / every
+    return Joint(
+        observed=observed,
+        fit=fit,
+        other_phase=_other(observed, fit, guess),
+        share=share,
+        notes=tuple(_doubts(fit, observed, setup, pictures.unit)),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Seen:
+    """Stripes and white light by waves along the face, and what tells the stripes' contrast.
+
+    Attributes
+    ----------
+    thirds : of each series (rows, n_x), the third harmonic over the shifts; None if unknown
+    near_mm : how deep the contrast is measured
+    """
+
+    observed: Observed
+    series: tuple[Series, ...]
+    thirds: tuple[ComplexArray | None, ...]
+    bins: Bins
+    pixel: float
+    near_mm: float
+
+    def with_contrast(self, medium: Medium | None = None) -> Observed:
+        """Return what is seen with the stripes' contrast, corrected for a medium if there is one.
+
+        Without a medium the contrast is up to half a percent wrong.
+        """
+        stripes = []
+        for stripe, series, third in zip(
+            self.observed.stripes, self.series, self.thirds, strict=True
+        ):
+            if third is None:
+                stripes.append(stripe)
+                continue
+            found = measured_contrast(
+                stripe,
+                third,
+                self.pixel,
+                self.bins,
+                duty=series.duty,
+                near_mm=self.near_mm,
+                answer=None if medium is None else lambda q, x: self._answer(medium, q, x),
+            )
+            of_white = series.high - series.low
+            c1 = None if found.contrast is None else found.contrast * of_white
+            stripes.append(replace(found, contrast=c1))
+        return replace(self.observed, stripes=tuple(stripes))
+
+    def _answer(self, medium: Medium, wavenumber_per_mm: float, x_mm: Array) -> Array:
+        o = self.observed
+        return stripe_answer(medium, wavenumber_per_mm, x_mm, depth_mm=o.depth_mm, slope=o.slope)
+
+
+def observe(pictures: Pictures, setup: Setup, sigma_t_per_mm: float, tank: Tank) -> Seen:
+    """Return stripes and white light by waves along the face.
+
+    The white light is the mean over the shifts of every series, which holds more frames than the
+    white picture and needs none.
+
+    Raises
+    ------
+    AnalysisError
+        If the shifts are too few, or no stripes are found.
+    """
+    pixel, cols = pictures.pixel, pictures.stripes.shape[2]
+    width = max(BIN_TAU / sigma_t_per_mm, cols * pixel / MAX_BINS)
+    bins = Bins.of(cols, pixel, width)
+    height = pictures.stripes.shape[1] * pixel
+    waves = 2.0 * np.pi * np.arange(N_WAVES + 1) / height
+    series = (Series.main(pictures, setup), *pictures.more)
+    white = white_light(*_mean([_white(s, pictures, bins) for s in series]), pixel, waves)
+    return Seen(
+        observed=Observed(
+            x_mm=bins.x_mm,
+            white=white,
+            stripes=tuple(_stripes(s, pixel, bins, white) for s in series),
+            depth_mm=tank.depth_mm,
+        ),
+        series=series,
+        thirds=tuple(_third(s, bins) for s in series),
+        bins=bins,
+        pixel=pixel,
+        near_mm=NEAR_TAU / sigma_t_per_mm,
+    )
+
+
+def fit_seen(
+    seen: Seen, guess_per_mm: float, phase: Phase, walls: SideWalls
+) -> tuple[Observed, StripeAware]:
+    """Fit once with a guess of the stripes' contrast, then with what the medium makes of it.
+
+    Raises
+    ------
+    AnalysisError
+        As `fit_stripe_aware` does.
+    """
+    observed, near = seen.with_contrast(), None
+    for _ in range(2):
+        fit = fit_stripe_aware(
+            observed, sigma_t_per_mm=guess_per_mm, phase=phase, side_walls=walls, near=near
+        )
+        observed, near = seen.with_contrast(fit.medium), fit.medium
+    return observed, fit
+
+
+def _white(series: Series, pictures: Pictures, bins: Bins) -> tuple[Array, Array]:
+    """Return a wholly lit field from the mean of the shifts, and its variance, binned."""
+    n = series.net.shape[0]
+    lit = series.low + (series.high - series.low) * series.duty
+    mean, count = bins.mean(series.net.mean(axis=0) / lit)
+    noise, _ = bins.mean(series.variance.mean(axis=0) / (n * lit**2))
+    if pictures.black_variance is not None:
+        noise = noise + bins.mean(pictures.black_variance / lit**2)[0]
+    return mean, noise / np.maximum(count, 1.0)
+
+
+def _mean(whites: list[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Return the mean of equally good fields; black, common to all, is counted too often."""
+    value = np.mean([w for w, _ in whites], axis=0)
+    return value, np.mean([v for _, v in whites], axis=0) / len(whites)
+
+
+def _stripes(series: Series, pixel: float, bins: Bins, white: WhiteLight) -> StripeWave:
+    n = series.net.shape[0]
+    z = demodulate(series.net)
+    real, count = bins.mean(z.real)
+    imaginary, _ = bins.mean(z.imag)
+    noise, _ = bins.mean(series.variance.mean(axis=0))
+    noise *= 2.0 / n / np.maximum(count, 1.0)
+    found = stripe_wave(real + 1j * imaginary, noise, pixel, bins, white)
+    if series.contrast is None:
+        return found
+    c1 = series.contrast(bins.x_mm)
+    return replace(found, amplitude=found.amplitude / c1 * c1[0], std=found.std / c1 * c1[0])
+
+
+def _third(series: Series, bins: Bins) -> ComplexArray | None:
+    third = third_harmonic(series.net) if series.square else None
+    if third is None:
+        return None
+    return np.asarray(bins.mean(third.real)[0] + 1j * bins.mean(third.imag)[0])
+
+
+def _walls(tank: Tank, beam: Beam, observed: Observed) -> SideWalls:
+    y, light = beam.profile_points()
+    across = float(np.sum(0.5 * (light[1:] + light[:-1]) * np.diff(y)))
+    slanted = replace(beam, angle_deg=math.degrees(math.atan(observed.slope)))
+
+    def loss(medium: Medium) -> ComplexArray:
+        found = side_wall_loss(
+            medium,
+            tank,
+            slanted,
+            wavenumber_per_mm=observed.white.wavenumber_per_mm,
+            origin_mm=observed.white.origin_mm,
+            x_mm=observed.x_mm,
+        )
+        turn = np.outer(observed.white.wavenumber_per_mm, observed.x_mm) * observed.slope
+        return np.asarray(found * np.exp(1j * turn) / across)
+
+    return loss
+
+
+def _other(observed: Observed, fit: StripeAware, guess_per_mm: float) -> StripeAware | None:
+    """Fit the phase function that was not asked for; None where it has no such medium."""
+    phase: Phase = "hg-paper" if fit.medium.phase == "hg-plane" else "hg-plane"
+    loss = fit.losses
+    try:
+        return fit_stripe_aware(
+            observed,
+            sigma_t_per_mm=guess_per_mm,
+            phase=phase,
+            side_walls=lambda _: loss,
+            near=replace(fit.medium, phase=phase),
+        )
+    except AnalysisError:
+        return None
+
+
+def _doubts(fit: StripeAware, observed: Observed, setup: Setup, unit: str) -> list[str]:
+    notes = []
+    if fit.at_limit:
+        notes.append(
+            "The fit of stripes and white light stopped at the end of what is possible: sigma_s "
+            "and g are not determined."
+        )
+    if fit.condition > ILL:
+        notes.append("The data hardly tell sigma_s from g: see their correlation.")
+    if fit.chi2_per_dof > OFF_MODEL:
+        times = math.sqrt(fit.chi2_per_dof)
+        notes.append(
+            f"Stripes and white light miss their model by {times:.1f} times its own error and the "
+            "noise: something else than a homogeneous medium between black walls is seen."
+        )
+    if setup.projection is not None and setup.stripes is not None:
+        wanted = setup.stripes.period_px * setup.projection.mm_per_px
+        period = 2.0 * math.pi / abs(observed.stripes[0].wavenumber_per_mm)
+        if abs(period / wanted - 1.0) > OFF_PERIOD:
+            notes.append(
+                f"The stripes' period in the picture is {period:.4g} {unit}, the calibration says "
+                f"{wanted:.4g}: check geometry.mm_per_px and projection.mm_per_px."
+            )
+    slant = math.degrees(math.atan(observed.slope))
+    if setup.beam is not None and abs(slant - setup.beam.angle_deg) > OFF_SLANT_DEG:
+        notes.append(
+            f"The stripes run at {slant:.1f} degrees through the medium, {setup.beam.angle_deg:g} "
+            "are set: the measured slant was used."
+        )
+    return notes
