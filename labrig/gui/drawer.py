@@ -181,6 +181,7 @@ class LiveFit(ttk.Frame):
                     name="single, measured",
                 )
             )
+        top = float(fitted.bounces.max()) if fitted.bounces.size else 0.0
         deepest = 0.0
         if fitted.sigma_t is not None and fitted.depth.size:
             deepest = min(6.0 / fitted.sigma_t[0], float(fitted.depth[-1]))
@@ -189,6 +190,8 @@ class LiveFit(ttk.Frame):
                 curves=tuple(curves),
                 x_label=f"depth along the beam ({fitted.unit})",
                 y_label="light (counts/s)",
+                log=True,
+                y_range=(2e-3 * top, 2.0 * top) if top > 0.0 else None,
                 x_range=(0.0, deepest) if deepest else None,
             )
         )

@@ -144,19 +144,22 @@ class PlotPane(tk.Canvas):
             return
         line = font.metrics("linespace") + px(2)
         texts = [*(c.name for c in named), *self.chart.notes]
+        # in a low pane the legend has several columns, so that it stays inside
+        rows = max(min((frame.bottom - frame.top - px(14)) // line, len(texts)), 1)
+        columns = -(-len(texts) // rows)
         wide = max(font.measure(text) for text in texts) + px(44)
-        x, y = frame.right - wide - px(4), frame.top + px(6)
+        x, y = frame.right - columns * wide - px(4), frame.top + px(6)
         self.create_rectangle(
-            x, y, frame.right - px(6), y + line * len(texts) + px(6), fill=p.card, outline=p.line
+            x, y, frame.right - px(6), y + line * rows + px(6), fill=p.card, outline=p.line
         )
         for k, text in enumerate(texts):
-            row = y + px(3) + line * k + line // 2
+            left, row = x + (k // rows) * wide, y + px(3) + line * (k % rows) + line // 2
             indent = px(8)
             if k < len(named):
                 colour, dashes, marker = named[k].look
-                self._key(x + px(6), row, colour, dashes, marker, hollow=named[k].points)
+                self._key(left + px(6), row, colour, dashes, marker, hollow=named[k].points)
                 indent = px(36)
-            self.create_text(x + indent, row, text=text, anchor="w", font=font, fill=p.text)
+            self.create_text(left + indent, row, text=text, anchor="w", font=font, fill=p.text)
 
     def _key(
         self, x: int, y: int, colour: str, dashes: tuple[float, ...], marker: str, *, hollow: bool

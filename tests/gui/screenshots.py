@@ -74,6 +74,7 @@ def main() -> int:
                 size=(1440, 900),
                 theme=theme,
                 tab="live",
+                exposure_s=0.06,
             )
             window.connected(LIMIT_S)
             take(window, folder, theme, whole=theme == "dark")
