@@ -156,7 +156,7 @@ class LiveTab(ttk.Frame):
         px = self.ui.px
         row = ttk.Frame(self, style="Card.TFrame")
         row.pack(side="bottom", fill="x", pady=(px(3), 0))
-        rates = ttk.Label(row, text="", style="CardDim.TLabel")
+        rates = ttk.Label(row, text="", style="CardSmall.TLabel")
         rates.pack(side="right")
         pixel = ttk.Label(row, text="", style="CardMono.TLabel")
         pixel.pack(side="left")
@@ -205,7 +205,7 @@ class LiveTab(ttk.Frame):
         held = "held · " if self.paused.get() else ""
         self.readings[1].configure(
             text=f"{held}camera {camera:.0f} · shown {shown:.0f} fps · {1e3 * age_s:.0f} ms old · "
-            f"{dropped} dropped · zoom {100 * self.pane.view.zoom:.0f} %"
+            f"{dropped} dropped · {100 * self.pane.view.zoom:.0f} %"
         )
 
     def set_map(self, name: Map) -> None:
@@ -275,7 +275,7 @@ class LiveTab(ttk.Frame):
         col, row = pane.read_at
         counts = int(pane.value)  # numpy's 16 bits would overflow
         share = 100.0 * counts / self.rig.white_level
-        self.readings[0].configure(text=f"x {col:4d} y {row:4d} {counts:6d} DN {share:5.1f} %")
+        self.readings[0].configure(text=f"x {col:4d} y {row:4d} {counts:5d} DN {share:5.1f} %")
 
     def _explain(self) -> None:
         pane, p = self.pane, self.ui.palette

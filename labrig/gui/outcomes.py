@@ -14,12 +14,13 @@ if TYPE_CHECKING:
 
 LIST_S = 3.0  # between two looks at the data root
 WARM_S = 0.5  # after the window has shown
-STAGES = ("linearise", "rectify", "separate", "attenuate", "bounces", "invert", "write")
+STAGES = ("linearise", "rectify", "separate", "attenuate", "stripes", "bounces", "invert", "write")
 WORDS = {
     "linearise": "merging the bracket",
     "rectify": "cutting out the tank",
     "separate": "separating single and multiple",
     "attenuate": "fitting σₜ",
+    "stripes": "fitting stripes and white light together",
     "bounces": "solving the bounces",
     "invert": "fitting σₛ and g",
     "write": "writing",
