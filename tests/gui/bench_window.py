@@ -27,7 +27,7 @@ import labrig.gui.start as start
 import tkinter
 shown = []
 def loop(root):
-    root.update()
+    root.wait_visibility()
     shown.append((time.time(), time.process_time(), {"numba", "matplotlib"} & set(sys.modules)))
     root.destroy()
     import os

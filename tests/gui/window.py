@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _tkinter
 import ctypes
 import gc
 import os
@@ -23,6 +24,7 @@ from labrig.gui.app import App, Places
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIGS = ROOT / "configs"
+EVENTS = 60  # between two looks at what is waited for
 
 
 def die_with_parent() -> None:
@@ -114,7 +116,9 @@ class Window:
         """Let the window live until something holds, or a time is over; return whether it does."""
         end = time.monotonic() + limit_s
         while time.monotonic() < end:
-            self.root.update()
+            for _ in range(EVENTS):  # update() would never end where every beat is late
+                if not self.root.tk.dooneevent(_tkinter.DONT_WAIT):
+                    break
             if self.errors:
                 raise self.errors[0]
             if until():
