@@ -54,6 +54,8 @@ def take(window: Window, folder: Path, theme: str, *, whole: bool) -> None:
     window.key("F1")
     keep(window, folder, f"{theme}-keys")
     window.key("Escape")
+    app.devices.hold(paused=True)
+    window.pump(limit_s=2.0)  # a picture that still comes would end the silence
     app.devices._tell_silence(2.0)
     keep(window, folder, f"{theme}-banner")
     app.banner.hide()
