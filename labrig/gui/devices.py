@@ -20,6 +20,7 @@ from labrig.door import (
     open_door,
 )
 from labrig.gui.metering import Metering
+from labrig.gui.snaps import keep
 from labrig.meters import Roi
 
 if TYPE_CHECKING:
@@ -105,18 +106,7 @@ class Devices:
         picture = self._app.live.picture
         if picture is None:
             return
-        import tifffile  # noqa: PLC0415 - for a snap alone
-
-        folder = self._app.places.out / "snaps"
-        path = folder / time.strftime("%Y-%m-%d-%H%M%S.tif")
-        about = f"exposure {picture.exposure_s} s, {picture.shows}"
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            tifffile.imwrite(path, picture.pixels, description=about)
-        except OSError as error:
-            self._app.say("error", f"{path} cannot be written ({error.strerror or error})")
-        else:
-            self._app.say("info", f"kept {path}, {about}")
+        self._app.say(*keep(picture, self._app.places.out / "snaps"))
 
     def capture(self) -> None:
         """Run the plan."""
