@@ -36,9 +36,10 @@ soak: install  ## ten minutes of live view: memory must stay flat
 screenshots: install  ## the pictures of the operator's guide, from the simulated rig
 	@$(BIN)/python tests/gui/screenshots.py
 
-torture: install  ## 500 kills at random moments, 10 000 fuzzed files
-	@LABRIG_KILLS=500 LABRIG_FUZZ=2500 $(BIN)/python -m pytest -q -n auto \
-	    tests/labrig/test_resume.py tests/labrig/test_fuzz.py -k "kills_at_random or one_line"
+torture: install  ## 500 kills at random moments, 10 000 fuzzed files, the power cut at every flush
+	@LABRIG_KILLS=500 LABRIG_FUZZ=2500 LABRIG_CUTS=2000 $(BIN)/python -m pytest -q -n auto \
+	    tests/labrig/test_resume.py tests/labrig/test_fuzz.py tests/labrig/test_power_cut.py \
+	    -k "kills_at_random or one_line or r4"
 
 figures: install  ## the pictures of the README, from a run of the demo and of labrig accuracy
 	@rm -rf build/figures && $(BIN)/labrig demo --out build/figures >/dev/null

@@ -22,6 +22,7 @@ from labrig.models.calibration import BoardFile, RecordFile
 from labrig.models.plan import Plan
 from labrig.models.rig import Rig
 from labrig.models.scene import Scene
+from labrig.models.series import Concentrations
 from labrig.pipeline import Until
 from labrig.results import Result
 from labrig.rig import OpenRig
@@ -51,9 +52,11 @@ __all__ = [
     "load_plan",
     "load_rig",
     "load_scene",
+    "load_series",
     "open_rig",
     "read_calibration",
     "read_results",
+    "reopen_rig",
     "report",
     "report_calibration",
     "resume",
@@ -79,6 +82,11 @@ def load_rig(path: StrPath) -> Rig:
 def load_scene(path: StrPath) -> Scene:
     """Read a scene file; raise `labrig.errors.ConfigError` naming file and key."""
     return _config.load(Path(path), Scene)
+
+
+def load_series(path: StrPath) -> Concentrations:
+    """Read the concentrations of a series; raise `labrig.errors.ConfigError` if it is none."""
+    return _config.load(Path(path), Concentrations)
 
 
 def load_analysis(path: StrPath) -> Analysis:
@@ -144,20 +152,44 @@ def capture(plan: Plan, rig: OpenRig, out: StrPath, *, progress: Counted | None 
     return _capturing.capture(plan, rig, Path(out), progress=progress)
 
 
-def resume(session: StrPath, *, progress: Counted | None = None) -> Path:
-    """Take the shots that an interrupted session of a simulated rig lacks; return its folder.
+def reopen_rig(
+    session: StrPath, rig: StrPath | None = None, *, progress: Counted | None = None
+) -> OpenRig:
+    """Open the rig that a session was begun with, ready for its plan; use it in a ``with`` block.
+
+    Parameters
+    ----------
+    rig : rig file, where a port has another name now or the latency was measured anew;
+        else the rig as the session keeps it
+
+    Raises
+    ------
+    labrig.errors.LabrigError, drivers.errors.DriverError
+        If the session cannot be trusted, or a device is not there.
+    """
+    path = Path(session)
+    header = _session.Session.open(path).header
+    kept, scene, latency = _capturing.rig_of(header, path)
+    if rig is not None:
+        kept, latency = load_rig(rig), _config.latency_beside(Path(rig))
+    plan = _capturing.plan_of(header, path)
+    return _rig.open_rig(kept, scene, plan, latency=latency, progress=progress)
+
+
+def resume(
+    session: StrPath, rig: StrPath | None = None, *, progress: Counted | None = None
+) -> Path:
+    """Take the shots that an interrupted session lacks; return its folder.
+
+    ``rig`` is as in `reopen_rig`.
 
     Raises
     ------
     labrig.errors.LabrigError, drivers.errors.DriverError
         If the session cannot be trusted, is complete, or the rig is another one.
     """
-    path = Path(session)
-    header = _session.Session.open(path).header
-    rig, scene, latency = _capturing.rig_of(header, path)
-    plan = _capturing.plan_of(header, path)
-    with _rig.open_rig(rig, scene, plan, latency=latency) as opened:
-        return _capturing.resume(path, opened, progress=progress)
+    with reopen_rig(session, rig) as opened:
+        return _capturing.resume(Path(session), opened, progress=progress)
 
 
 def import_session(manifest: StrPath, out: StrPath, *, progress: Counted | None = None) -> Path:

@@ -25,7 +25,11 @@ from labrig.session import Session
 from labrig.session_recovery import Recovery, reopen
 from labrig.session_writer import SessionWriter
 
-VOLATILE = {"exposure_s", "gain_db", "roi", "pixel_format"}  # settings that every shot may change
+NAMES = {"device", "display", "output", "port"}  # a replug may change them; serial numbers tell
+TIMES = {"latency_s", "jitter_s", "settle_s", "calibrated"}  # a newer calibration may change them
+# what every shot may change, and counters of a box
+VOLATILE = {"exposure_s", "exposure_absolute", "exposure_time_absolute", "gain_db", "roi"}
+VOLATILE |= {"pixel_format", "mode", "armed", "watchdog_tripped", "damaged_lines"}
 
 Listener = Callable[[Event], None]
 
@@ -178,11 +182,17 @@ def plan_of(header: Mapping[str, Any], path: Path) -> Plan:
 
 
 def rig_of(header: Mapping[str, Any], path: Path) -> tuple[Rig, Scene, LatencyRecord | None]:
-    """Return rig, scene and latency of a simulated session; its scripted faults are over."""
-    if not header.get("simulated"):
-        msg = f"{path} was not captured on a simulated rig: give its rig file with --rig."
+    """Return rig, scene and latency of a captured session; its scripted faults are over.
+
+    Raises
+    ------
+    SessionError
+        If the session was not captured here.
+    """
+    if header.get("rig") is None:
+        msg = f"{path} names no rig: it was not captured here, and nothing can be added to it."
         raise SessionError(msg)
-    rig = parse(header.get("rig"), Rig, source=f"{path}: rig")
+    rig = parse(header["rig"], Rig, source=f"{path}: rig")
     simulation = rig.simulation.model_copy(update={"faults": ()})
     scene = parse(header.get("scene"), Scene, source=f"{path}: scene")
     kept = (header.get("calibration") or {}).get("projector_latency")
@@ -224,23 +234,37 @@ def _refuse_other_plan(expanded: CapturePlan, session: Session) -> None:
 
 
 def _refuse_other_devices(header: Mapping[str, Any], rig: OpenRig) -> None:
-    before, now = _flat(header.get("devices") or {}), _flat(rig.snapshot())
-    differences = [
-        f"{name} was {before.get(name)!r}, is {now.get(name)!r}"
-        for name in sorted(before.keys() | now.keys())
-        if before.get(name) != now.get(name)
-    ]
+    planned = rig.config.model_dump(mode="json", by_alias=True)
+    kept = {key: (header.get("rig") or {}).get(key) for key in planned}
+    may_change = NAMES | TIMES
+    pairs = (
+        (header.get("devices") or {}, rig.snapshot(), may_change | VOLATILE),
+        (_fixed(kept), _fixed(planned), may_change),
+    )
+    differences: dict[str, str] = {}
+    for then, is_now, ignored in pairs:
+        before, now = _flat(then, ignored), _flat(is_now, ignored)
+        for name in sorted(before.keys() | now.keys()):
+            if before.get(name) != now.get(name):
+                told = f"{name} was {before.get(name)!r}, is {now.get(name)!r}"
+                differences.setdefault(name.replace(".settings.", "."), told)
     if differences:
-        msg = f"the rig is not the one the session was begun with: {'; '.join(differences)}."
+        told = "; ".join(differences.values())
+        msg = f"the rig is not the one the session was begun with: {told}."
         raise RunError(msg)
 
 
-def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def _fixed(rig: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the parts of a rig file by which pictures are understood."""
+    return {key: rig[key] for key in ("camera", "projector", "trigger", "geometry", "projection")}
+
+
+def _flat(tree: Mapping[str, Any], ignored: set[str], prefix: str = "") -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name, value in tree.items():
         if isinstance(value, Mapping):
-            found |= _flat(value, f"{prefix}{name}.")
-        elif name not in VOLATILE:
+            found |= _flat(value, ignored, f"{prefix}{name}.")
+        elif name not in ignored:
             found[f"{prefix}{name}"] = list(value) if isinstance(value, tuple) else value
     return found
 

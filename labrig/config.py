@@ -24,6 +24,7 @@ from labrig.models.manifest import ImportManifest
 from labrig.models.plan import Plan
 from labrig.models.rig import Rig
 from labrig.models.scene import Scene
+from labrig.models.series import Concentrations
 
 
 def config_folder() -> Path:
@@ -40,6 +41,7 @@ SCHEMAS: dict[str, type[Model]] = {
     "import": ImportManifest,
     "board": BoardFile,
     "calibration": RecordFile,
+    "series": Concentrations,
 }
 
 M = TypeVar("M", bound=Model)

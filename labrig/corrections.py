@@ -74,7 +74,9 @@ def gather(session: Session, setup: Setup, config: Analysis) -> Corrections:
     AnalysisRefusedError
         If a record is of another kind than it is named for, or does not hold for this session.
     """
-    named = {**(session.header.get("calibration") or {}), **config.calibration}
+    kept = dict(session.header.get("calibration") or {})
+    kept.pop("projector_latency", None)  # served the capture, and stands in the header itself
+    named = {**kept, **config.calibration}
     current = conditions_of(session, setup)
     found = Corrections(camera=setup.camera.record())
     for kind, path in named.items():

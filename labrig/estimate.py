@@ -100,6 +100,6 @@ def _seconds(plan: Plan, shots: Sequence[Shot], rig: Rig, wait_s: float) -> Seco
         exposure=exposures_s,
         exposure_switch=switched,
         readout=len(shots) * rig.camera.readout_s,
-        references=2.0 * (wait_s + shortest_s + rig.camera.readout_s),
+        references=4.0 * (wait_s + shortest_s + rig.camera.readout_s),
         writing=max(len(shots) * COMMIT_S - busy_s, 0.0) + COMMIT_S * len(blocks_of(shots)),
     )

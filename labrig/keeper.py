@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from drivers.waiting import SLICE_S, CancelToken
-from labrig.session_writer import Item, SessionWriter
+from labrig.session_items import Item
+from labrig.session_writer import SessionWriter
 
 DEPTH = 16  # frames in memory at most; then the plan waits, for the scene is static
 GROUP = 8  # frames that share one fsync of folder and journal when the queue has grown

@@ -105,6 +105,9 @@ def _watch(
     handles = rig.projector.load([image for image in drawn if image is not None])
     seen: list[Flip] = []
     try:
+        # what was shown before must be gone, or the first flip is measured by its going
+        rig.projector.black(deadline_s=rig.now_s() + MARGIN_S, cancel=cancel)
+        rig.clock.wait_until(rig.now_s() + AFTER_S, cancel)
         for k in range(flips):
             exposure_s = exposures_s[k // 2 % len(exposures_s)]
             rig.notice(f"flip-{k}", "show")

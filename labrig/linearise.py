@@ -18,6 +18,7 @@ from labrig.corrections import Corrections
 from labrig.errors import AnalysisRefusedError
 from labrig.models.plan import Shot
 from labrig.models.setup import Setup, StripesConfig
+from labrig.picture_notes import notes_of
 from labrig.session import Session
 
 Array = NDArray[np.float64]
@@ -197,7 +198,7 @@ def rectify(
         )
         raise AnalysisRefusedError(msg)
     known = known or Corrections(camera=setup.camera.record())
-    notes = _notes(session, setup, radiances, known)
+    notes = notes_of(session, _shots(session), setup, frozenset(radiances), known)
     position = _position(setup, known)
     if known.view is not None:
         even, setup = _even(known.view, setup, next(iter(sizes)))
@@ -369,49 +370,3 @@ def turned(picture: NDArray[T], setup: Setup) -> NDArray[T]:
         cols = round(setup.tank.depth_mm / geometry.mm_per_px)
         region = region[:rows, :cols]
     return region
-
-
-def _notes(
-    session: Session, setup: Setup, radiances: Mapping[str, Radiance], known: Corrections
-) -> list[str]:
-    notes = list(known.notes)
-    if not session.sealed:
-        notes.append("The session was interrupted: it is not sealed.")
-    if known.camera.floor_variance_dn2 is None:
-        notes.append(
-            "Gain or read noise of the camera is unknown: no variance map, no detection limit; "
-            "standard deviations come from the scatter of rows."
-        )
-    if setup.geometry.mm_per_px is None and known.view is None:
-        notes.append("The scale of the picture is unknown: lengths are in px.")
-    if "black" not in radiances:
-        instead, remains = (
-            ("the ambient picture", "the projector's leak remains")
-            if "ambient" in radiances
-            else ("nothing", "the projector's leak and ambient light remain")
-        )
-        notes.append(
-            f"There is no black picture: {instead} was subtracted; {remains} in the multiple "
-            "scattering."
-        )
-    if "white" not in radiances:
-        notes.append("There is no white picture: no closure, and no fit without separation.")
-    roles = {shot.role for shot in _shots(session)}
-    if "dark" not in roles and known.dark is None:
-        notes.append("There are no dark frames: the declared black level is the offset.")
-    if "flat" in roles and known.flat is None:
-        notes.append("Flat frames are in the session: make a record of them and name it.")
-    notes += _short_exposures(session, known)
-    return notes
-
-
-def _short_exposures(session: Session, known: Corrections) -> list[str]:
-    """Return a note on exposures of which the shutter's offset is more than 1 percent."""
-    offset_s = known.camera.shutter_offset_s
-    short = sorted({s.exposure_s for s in _shots(session) if abs(offset_s) > 0.01 * s.exposure_s})
-    if not short:
-        return []
-    times = ", ".join(f"{t:g}" for t in short)
-    return [
-        f"The shutter's offset of {1e6 * offset_s:.1f} us exceeds 1 % of the exposures {times} s."
-    ]

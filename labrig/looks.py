@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import StrEnum
 from typing import Any
 
@@ -15,6 +16,9 @@ RATIO_TOLERANCE = 0.03  # of brightness between two brackets of one pattern
 SAMPLE = 20_000  # pixels at random places: a regular grid of them could fit the stripes' period
 ENOUGH_PIXELS = 50
 ALIKE, DIFFERENT = 2.0, 8.0  # chi^2 of two frames: one pattern gives 1, two that can be told more
+FEWER = 4  # of the sample, where all shifts of a group are compared
+MANY_GROUPS = 16  # brackets that alternate; of older groups all shifts have been seen
+PILED, LEAST_NOISE_DN = 0.02, 1.5  # share of pixels at one value that such noise cannot explain
 
 
 class Cause(StrEnum):
@@ -43,6 +47,7 @@ class Looks:
         self._visible: set[str] = set()
         self.lamp = 1.0
         self._at: tuple[int, NDArray[np.int64]] | None = None
+        self._groups: dict[str, dict[int, NDArray[np.float64]]] = {}
 
     def doubt(
         self, shot: Shot, pixels: NDArray[np.uint16], details: dict[str, Any]
@@ -74,7 +79,71 @@ class Looks:
                 self._visible.add(shot.set)
         self._brackets[shot.set, shot.pattern] = (shot.exposure_s, self.lamp, thin)
         self._last = (shot, thin)
+        self._remember_shift(shot, thin)
+        if (clipped_dn := self._clipped(thin)) is not None:
+            details["clipped_at_dn"] = clipped_dn
         return None
+
+    def group_residual(self, shot: Shot) -> tuple[float, str] | None:
+        """Return by how much the shifts of a group contradict one another, once all are there.
+
+        Stripes and the same moved by half a period together are white light, whatever the sample
+        does with it. So all such pairs must sum to one picture, up to the lamp's brightness; a
+        frame that saw another pattern, or two, or was exposed otherwise, spoils its pair's sum.
+
+        Returns
+        -------
+        The rms residual of the worst pair as a share of the light, zero where noise explains it,
+        and the pair in words. None if the group is incomplete, or has an odd number of shifts, or
+        one pair alone.
+        """
+        n, seen = shot.shifts or 0, self._shifts_of(shot)
+        if n % 2 or n < 4 or len(seen) < n:
+            return None
+        frames = np.array([seen[k] for k in range(n)])
+        black, white = self._rig.black_level_dn, self._rig.camera_can.white_level_dn
+        frames = frames[:, (frames < 0.95 * white).all(axis=0)]
+        if frames.shape[1] < ENOUGH_PIXELS:
+            return None
+        variance = self._rig.variance_dn2(frames)
+        pairs = frames[: n // 2] + frames[n // 2 :] - 2.0 * black
+        noise = (variance[: n // 2] + variance[n // 2 :]).mean(axis=1) * (1.0 - 2.0 / n)
+        common = pairs.mean(axis=0)
+        power = float(np.mean(common**2))
+        lamp = pairs @ common / (frames.shape[1] * power) if power else np.ones(n // 2)
+        excess = np.mean((pairs - lamp[:, None] * common) ** 2, axis=1) - noise
+        excess[excess < 5.0 * noise * np.sqrt(2.0 / frames.shape[1])] = 0.0
+        worst = int(excess.argmax())
+        share = float(np.sqrt(excess[worst] / power)) if power else 0.0
+        return share, (
+            f"shifts {worst} and {worst + n // 2} of group {shot.group} do not add up as the "
+            f"others do, by {100.0 * share:.1f} % of the light; one of them saw another pattern, "
+            "or two, or another exposure."
+        )
+
+    def _shifts_of(self, shot: Shot) -> dict[int, NDArray[np.float64]]:
+        return self._groups.get(shot.group, {})
+
+    def _remember_shift(self, shot: Shot, thin: NDArray[np.float64]) -> None:
+        """Keep a stripe picture for its group; a first shift begins the group anew."""
+        if shot.shift is None:
+            return
+        if shot.shift == 0:
+            self._groups.pop(shot.group, None)
+        self._groups.setdefault(shot.group, {})[shot.shift] = thin[::FEWER]
+        while len(self._groups) > MANY_GROUPS:
+            del self._groups[next(iter(self._groups))]
+
+    def _clipped(self, thin: NDArray[np.float64]) -> float | None:
+        """Return the counts at which the sensor clips below its white level; None if it does not.
+
+        Noise spreads the brightest pixels; many of them at one value mean that it was cut there.
+        """
+        top = float(thin.max())
+        white = self._rig.camera_can.white_level_dn
+        noisy = float(self._rig.variance_dn2(np.array([top]))[0]) > LEAST_NOISE_DN**2
+        piled = np.mean(thin == top) > PILED
+        return top if noisy and piled and top < white else None
 
     def _places(self, size: int) -> NDArray[np.int64]:
         if self._at is None or self._at[0] != size:
@@ -107,3 +176,23 @@ class Looks:
             return None
         variance = self._rig.variance_dn2(now) + self._rig.variance_dn2(before)
         return float(np.mean((now - before) ** 2 / variance))
+
+
+def poor(details: Mapping[str, Any], white_level_dn: int, allowed: float | None) -> list[str]:
+    """Return what makes a frame that counts a poor one, in words.
+
+    Parameters
+    ----------
+    allowed : share of pixels that may be saturated; None for the long exposures of a bracket,
+        which are meant to clip
+    """
+    told = []
+    share = details["saturated_fraction"]
+    if allowed is not None and share > allowed:
+        told.append(f"{100.0 * share:.2g} % of the pixels are saturated.")
+    if "clipped_at_dn" in details:
+        told.append(
+            f"pixels pile up at {details['clipped_at_dn']:.0f} DN, below the white level of "
+            f"{white_level_dn} DN; correct white_level_dn."
+        )
+    return told

@@ -14,7 +14,7 @@ from labrig.linearise import linearise, rectify
 from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
 from labrig.record import Outcome, fields_of, run_of
-from labrig.results import Result, read_results, write_results
+from labrig.results import Result, read_results, results_of, write_results
 from labrig.session import Session
 from labrig.steps import attenuate, explain, render_bounces, separate
 
@@ -74,6 +74,7 @@ def analyse(
     watch = Stopwatch(progress)
     config = config or Analysis.model_validate({"schema": "labrig-analysis/1"})
     session = Session.open(session_path)
+    parent = out or results_of(session_path)
     setup = parse(session.header.get("setup"), Setup, source=f"{session_path}: setup")
     known = gather(session, setup, config)
     decay = joint = explained = None
@@ -106,5 +107,4 @@ def analyse(
         explained=explained,
         seconds=watch.seconds,
     )
-    parent = out or session_path / "results"
     return read_results(write_results(parent, run_of(outcome), *fields_of(outcome)))

@@ -57,7 +57,7 @@ def bracket_of(plan: Plan, rig: Rig) -> tuple[float, ...]:
     """
     bracket = plan.exposures.bracket_s
     if bracket is None:
-        msg = f"plan {plan.name!r}: an automatic bracket is found by a probe of the open rig."
+        msg = f"plan {plan.name!r}: an automatic bracket is found on the open rig: --probe."
         raise PlanError(msg)
     if plan.exposures.snap_to == "nothing":
         return bracket

@@ -67,6 +67,7 @@ def run_of(outcome: Outcome) -> dict[str, Any]:
             "id": header.get("id", outcome.session.path.name),
             "path": str(outcome.session.path),
             "simulated": bool(header.get("simulated", False)),
+            "scene": str((header.get("scene") or {}).get("name", "")),
             "imported": bool(header.get("imported", False)),
             "sealed": outcome.session.sealed,
         },

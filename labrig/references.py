@@ -104,8 +104,6 @@ class References:
         sequencer.looks.lamp *= light_dn / before_dn
         changed = abs(change) > self._plan.limits.reference_drift
         text = f"reference light {light_dn:.1f} DN, {100 * change:+.2f} % since the last one"
-        if changed:
-            text += "; a new segment begins."
         return Measured(levels=levels, changed=changed, text=text)
 
     def seconds(self, shots: Sequence[Shot]) -> float:

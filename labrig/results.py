@@ -82,6 +82,15 @@ def write_results(
     return parent / name
 
 
+def results_of(session: Path) -> Path:
+    """Return the folder of a session's results; raise `SessionError` if it could lead outside."""
+    folder = session / "results"
+    if folder.is_symlink():
+        msg = f"{folder} is a symbolic link, which could lead anywhere: remove it, or use --out."
+        raise SessionError(msg)
+    return folder
+
+
 def write_fields(path: Path, fields: Mapping[str, Field], attributes: Mapping[str, Any]) -> None:
     """Write arrays with named dimensions as NetCDF-4, with checksums."""
     sizes: dict[str, int] = {}
@@ -137,7 +146,8 @@ def read_results(path: Path) -> Result:
 def _newest(path: Path) -> Path:
     if (path / "run.json").is_file():
         return path
-    found = sorted(p.parent for p in (path / "results").glob("*/run.json"))
+    folders = [file.parent for file in results_of(path).glob("*/run.json")]
+    found = sorted(folder for folder in folders if not folder.is_symlink())
     if not found:
         msg = f"{path}: holds no results; run `labrig analyse` on the session first."
         raise SessionError(msg)

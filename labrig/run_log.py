@@ -13,7 +13,7 @@ from labrig.errors import LabrigError
 from labrig.keeper import Keeper
 from labrig.run_state import ENDS, NEXT, Command, Event, State, Status
 from labrig.sequence import AttemptError
-from labrig.session_writer import Item
+from labrig.session_items import Item
 
 T = TypeVar("T")
 

@@ -21,6 +21,7 @@ from labrig.errors import RunError
 from labrig.finishing import finish_devices, finish_session, undisturbed
 from labrig.keeper import Keeper
 from labrig.latency import check_latency
+from labrig.looks import poor
 from labrig.models.plan import Shot
 from labrig.plan import CapturePlan, blocks_of
 from labrig.preflight import Verdict, refuse
@@ -29,7 +30,8 @@ from labrig.rig import OpenRig
 from labrig.run_log import RunLog, need
 from labrig.run_state import TAKES, Command, Finish, State, Status
 from labrig.sequence import AttemptError, Cause, Sequencer, Step
-from labrig.session_writer import Item, SessionWriter
+from labrig.session_items import Item
+from labrig.session_writer import SessionWriter
 
 PATIENCE_S = 10.0  # the longest that finishing may wait for the disk
 MIN_FAILURES = 3  # a short run may have as many without being stopped by their share
@@ -71,6 +73,7 @@ class Runner(RunLog):
         self._writer: SessionWriter | None = None
         self._sequencer: Sequencer | None = None
         self._skipped: set[str] = set()
+        self._doubted: set[str] = set()
         self._last_taken_s: dict[str, float] = {}
         self._attempts: Counter[str] = Counter()
         self._losses = 0
@@ -160,10 +163,12 @@ class Runner(RunLog):
             try:
                 if left:
                     self._take_block(left[0])
+                    self._boundary(left[0])
                 else:
                     need(self._keeper).drain(PATIENCE_S)
                     self._boundary(blocks[-1])
                     if all(not self._wanted(shot) for shot in self._expanded.shots):
+                        self._refer(last=True)
                         return
             except _GroupEndedError:
                 continue
@@ -196,10 +201,11 @@ class Runner(RunLog):
             break
         self._step(shot.id, Step.COMMIT)
         self.latest = (shot, taken.frame.pixels)
-        limit = self._plan.limits.saturated_fraction
-        if taken.details["saturated_fraction"] > limit and self._sees_light(shot):
-            share = 100.0 * taken.details["saturated_fraction"]
-            self._problem(f"shot {shot.id}: {share:.2g} % of the pixels are saturated.")
+        # the long exposures of a bracket are meant to clip
+        shortest = shot.exposure_s == min(s.exposure_s for s in self._expanded.shots)
+        allowed = self._plan.limits.saturated_fraction if shortest else None
+        for text in poor(taken.details, self._rig.camera_can.white_level_dn, allowed):
+            self._problem(f"shot {shot.id}: {text}")
         self._keep(
             Item(
                 event="commit",
@@ -212,10 +218,20 @@ class Runner(RunLog):
         self._taken.add(shot.id)
         self._last_taken_s[block[0].id] = self._rig.now_s()
         self._hear_saved()
+        self._hold_together(shot, block)
 
-    def _sees_light(self, shot: Shot) -> bool:
-        # the long exposures of a bracket are meant to clip
-        return shot.exposure_s == min(s.exposure_s for s in self._expanded.shots)
+    def _hold_together(self, shot: Shot, block: tuple[Shot, ...]) -> None:
+        """Take a group again whose shifts contradict one another; ask where that does not help."""
+        found = need(self._sequencer).looks.group_residual(shot)
+        if found is None or found[0] <= self._plan.limits.shift_residual:
+            return
+        if shot.group in self._doubted:
+            self._pause(f"{found[1]} It is so for the second time.", block)
+            return
+        self._doubted.add(shot.group)
+        self._problem(found[1])
+        self._void(block, found[1])
+        raise _GroupEndedError
 
     def _mend(self, block: tuple[Shot, ...], error: AttemptError, counts: Counter[Cause]) -> bool:
         """Do what the cause asks for; return whether the pattern is still up for the next try."""
@@ -365,23 +381,29 @@ class Runner(RunLog):
         self._skipped |= {shot.id for shot in block if shot.id not in self._taken}
         self._note(f"group {block[0].group} was skipped by the operator", {})
 
-    def _refer(self) -> None:
-        """Measure white and black light; begin a new segment if the lamp has changed."""
+    def _refer(self, *, last: bool = False) -> None:
+        """Measure white and black light; begin a new segment if the lamp has changed.
+
+        After the ``last`` shot a lamp that changed is only told of, and so is one not seen.
+        """
+        self._set(shot="", attempt=0)
         for _ in range(self._plan.limits.attempts_per_shot):
             try:
                 found = self.references.measure(need(self._sequencer), self._cancel)
             except AttemptError as error:
                 self._problem(f"reference: {error}")
-                if error.cause in (Cause.DEVICE_LOST, Cause.NOT_FIRED):
+                if not last and error.cause in (Cause.DEVICE_LOST, Cause.NOT_FIRED):
                     self._recover(blocks_of(self._expanded.shots)[0], str(error))
                 continue
             self._note(found.text, {"reference": found.levels})
             if found.changed:
                 self._problem(found.text)
-                self._keep(Item(event="segment", details={"reason": found.text}))
+                if not last:
+                    self._keep(Item(event="segment", details={"reason": found.text}))
             return
-        msg = "no reference frame could be taken; check lamp, camera and trigger."
-        raise RunError(msg)
+        if not last:
+            msg = "no reference frame could be taken; check lamp, camera and trigger."
+            raise RunError(msg)
 
     # What is kept and told of an attempt.
 

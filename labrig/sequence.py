@@ -12,6 +12,7 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.camera.protocol import CameraSettings, Frame
 from drivers.errors import (
@@ -164,8 +165,6 @@ class Sequencer:
             details["proof"] = "triggered"
         self.on_step(shot.id, Step.CHECK)
         self._check(shot, frame, details)
-        self._last_sequence = frame.sequence
-        self._last_pixels = pixel_digest(frame.pixels)
         return Taken(frame=frame, details=details)
 
     def _show(self, shot: Shot, cancel: CancelToken, *, again: bool) -> ShowReceipt:
@@ -281,12 +280,12 @@ class Sequencer:
             "t_uncertainty_s": frame.uncertainty_s,
             "exposure_reported_s": frame.exposure_s,
             "gain_reported_db": frame.gain_db,
-            "floor_fraction": 1.0 - np.count_nonzero(frame.pixels) / frame.pixels.size,
-            "saturated_fraction": np.count_nonzero(frame.pixels >= white) / frame.pixels.size,
+            **_ends(frame.pixels, white),
         }
         if self._last_sequence and frame.sequence > self._last_sequence + 1:
             details["gap"] = frame.sequence - self._last_sequence - 1
-        found = self._fault(shot, frame, details)
+        digest = pixel_digest(frame.pixels)
+        found = self._fault(shot, frame, digest, details)
         if found is not None:
             cause, message = found
             raise AttemptError(cause, f"shot {shot.id}: {message}", frame=frame, details=details)
@@ -294,9 +293,10 @@ class Sequencer:
         if doubt is not None:
             cause, message = doubt
             raise AttemptError(cause, f"shot {shot.id}: {message}", frame=frame, details=details)
+        self._last_sequence, self._last_pixels = frame.sequence, digest
 
     def _fault(
-        self, shot: Shot, frame: Frame, details: Mapping[str, Any]
+        self, shot: Shot, frame: Frame, digest: str, details: Mapping[str, Any]
     ) -> tuple[Cause, str] | None:
         """Return the first rule that a frame breaks, in words; None if it keeps them all."""
         if frame.flags:
@@ -305,8 +305,7 @@ class Sequencer:
             return Cause.DUPLICATE, (
                 f"frame {frame.sequence} came after frame {self._last_sequence}; it is an old one."
             )
-        same = pixel_digest(frame.pixels) == self._last_pixels
-        if same and frame.pixels.min() != frame.pixels.max():
+        if digest == self._last_pixels and frame.pixels.min() != frame.pixels.max():
             return Cause.DUPLICATE, "the pixels are those of the frame before, which noise forbids."
         # a fired frame cannot begin before its edge, whatever its stamp's uncertainty; a
         # free-running one has nothing but its stamp
@@ -341,3 +340,10 @@ def _exposed(frame: Frame, shot: Shot) -> bool:
     """Whether a frame reports the exposure that was asked for, or none."""
     reported = frame.exposure_s
     return reported is None or abs(reported - shot.exposure_s) <= 1e-3 * shot.exposure_s
+
+
+def _ends(pixels: NDArray[np.uint16], white_level_dn: int) -> dict[str, float]:
+    """Return the shares of pixels at zero and at the white level; most frames have neither."""
+    dark = 0 if pixels.min() else pixels.size - np.count_nonzero(pixels)
+    full = 0 if pixels.max() < white_level_dn else np.count_nonzero(pixels >= white_level_dn)
+    return {"floor_fraction": dark / pixels.size, "saturated_fraction": full / pixels.size}

@@ -6,7 +6,6 @@ docs/file-formats.md shows the folder; docs/decisions/0002-session-format.md say
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import os
 import platform
@@ -21,11 +20,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-import tifffile
 import xxhash
 from numpy.typing import NDArray
 
 from labrig.errors import SessionError
+from labrig.frame_tiff import encode
 
 SCHEMA = "labrig-session/2"
 READABLE = ("labrig-session/1", SCHEMA)
@@ -169,15 +168,4 @@ def tiff(pixels: NDArray[np.uint16], about: Mapping[str, Any]) -> bytes:
     if b'"shape":' in text:
         msg = "details hold a 'shape', by which tifffile knows files of its own: use another name."
         raise SessionError(msg)
-    stream = io.BytesIO()
-    tifffile.imwrite(
-        stream,
-        pixels,
-        byteorder="<",
-        bigtiff=False,
-        photometric="minisblack",
-        description=text,
-        metadata=None,
-        software="labrig",
-    )
-    return stream.getvalue()
+    return encode(pixels, text)

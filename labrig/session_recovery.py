@@ -22,6 +22,7 @@ from labrig.session_format import (
     frame_file,
     shot_ids,
 )
+from labrig.session_items import Progress
 from labrig.session_lock import let_go, take_lock
 from labrig.session_reader import (
     CommittedFrame,
@@ -34,7 +35,7 @@ from labrig.session_reader import (
     read_journal,
     root_of,
 )
-from labrig.session_writer import Progress, SessionWriter, free_name
+from labrig.session_writer import SessionWriter, free_name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

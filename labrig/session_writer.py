@@ -12,11 +12,10 @@ import platform
 import secrets
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import xxhash
@@ -50,31 +49,8 @@ from labrig.session_format import (
     tiff,
     to_json,
 )
+from labrig.session_items import Item, Progress
 from labrig.session_lock import let_go, take_lock
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Item:
-    """What shall stand in the journal: a frame to be kept, or an event without one."""
-
-    event: Literal["commit", "reject", "drop", "note", "pause", "resume", "segment", "void"]
-    shot: str = ""
-    attempt: int = 0
-    pixels: NDArray[np.uint16] | None = None
-    details: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass
-class Progress:
-    """What a session holds so far, by shot: the attempt that counts, and the last one made."""
-
-    saved: dict[str, int] = field(default_factory=dict)
-    last_attempt: dict[str, int] = field(default_factory=dict)
-    rejected: set[tuple[str, int]] = field(default_factory=set)
-    n_dropped: int = 0
-    n_lines: int = 0
-    segment: int = 1
-    journal_bytes: int = 0
 
 
 class SessionWriter:

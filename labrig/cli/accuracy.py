@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -11,16 +12,13 @@ from rich.table import Table
 
 import labrig
 from labrig.accuracy import cost_of_accuracy
+from labrig.accuracy_capture import CaptureCosts, Priced, cost_of_capture, parse_wish
+from labrig.accuracy_capture import write_csv as write_capture_csv
 from labrig.cli.say import AsJson, bars, out_console, say, say_json
 from labrig.costs import Costs, Run, write_csv
 
 app = typer.Typer(help="What accuracy is reached, and what it costs.", rich_markup_mode=None)
 WITHIN = 1.3  # times its noise that a witness may differ: the noise itself is known to 18 %
-
-
-@app.callback()
-def accuracy() -> None:
-    """Keep the name of the only command."""
 
 
 @app.command()
@@ -63,6 +61,71 @@ def solver(
         say(f"note: {note}")
     say(f"table   {table}")
     say(f"figure  {stem.with_suffix('.png')}")
+
+
+@app.command()
+def capture(
+    plan: Annotated[Path, typer.Argument(help="Plan file.")],
+    rig: Annotated[Path, typer.Option(help="Rig file.")],
+    scene: Annotated[Path, typer.Option(help="Scene file: what the sample may be.")],
+    want: Annotated[
+        list[str] | None, typer.Option(help="Wished uncertainty: sigma_t=0.5%, g=0.005, ...")
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", help="Folder to write to.")] = Path("accuracy"),
+    as_json: AsJson = False,
+) -> None:
+    """Predict the uncertainty of a plan's answer, and what a better one would cost."""
+    wanted = dict(parse_wish(text) for text in want or [])
+    with bars() as follow:
+        costs = cost_of_capture(
+            labrig.load_plan(plan),
+            labrig.load_rig(rig),
+            labrig.load_scene(scene),
+            wanted,
+            progress=follow,
+        )
+    out.mkdir(parents=True, exist_ok=True)
+    table, stem = out / "capture.csv", out / "capture"
+    write_capture_csv(costs, table)
+    from labrig.figures import save  # noqa: PLC0415 - matplotlib takes a second to load
+    from labrig.figures_inversion import capture_cost_figure  # noqa: PLC0415
+
+    save(capture_cost_figure(costs), stem)
+    if as_json:
+        plans = [_told(one) for one in costs.plans]
+        cheapest = None if costs.cheapest is None else _told(costs.cheapest)
+        files = {"csv": str(table), "figure": str(stem.with_suffix(".png"))}
+        say_json({"plans": plans, "wanted": wanted, "cheapest": cheapest, **files})
+        return
+    _say_plans(costs)
+    if wanted and costs.cheapest is None:
+        say("no plan tried reaches what is wanted; combine repeats with longer exposures.")
+    elif costs.cheapest is not None:
+        best = costs.cheapest
+        say(f"cheapest that reaches it: {best.kind}, {best.setting}, {best.seconds:.1f} s")
+    say(f"table   {table}")
+    say(f"figure  {stem.with_suffix('.png')}")
+
+
+def _told(one: Priced) -> dict[str, object]:
+    std = {name: v if math.isfinite(v) else None for name, v in one.std.items()}
+    return {**asdict(one), "std": std}
+
+
+def _say_plans(costs: CaptureCosts) -> None:
+    table = Table(title="predicted standard deviations (camera noise)")
+    for heading in ("plan", "setting", "seconds", "sigma_t", "sigma_s", "g"):
+        table.add_column(heading, justify="left" if heading in {"plan", "setting"} else "right")
+    for one in costs.plans:
+        stds = ("—", "—", "—")
+        if not one.reason:
+            percent = [f"{100.0 * one.std[name]:.2g} %" for name in ("sigma_t", "sigma_s")]
+            stds = (percent[0], percent[1], f"{one.std['g']:.2g}")
+        table.add_row(one.kind, one.setting, f"{one.seconds:.1f}", *stds)
+    out_console.print(table)
+    for one in costs.plans:
+        if one.reason:
+            say(f"note: {one.kind}, {one.setting}: {one.reason}")
 
 
 def _say_runs(runs: list[Run]) -> None:

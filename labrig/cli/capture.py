@@ -10,13 +10,11 @@ import typer
 from rich.table import Table
 
 import labrig
-from labrig.capturing import plan_of, prepare, prepare_resume, rig_of
+from labrig.capturing import prepare, prepare_resume
 from labrig.catalogue import catalogue
 from labrig.cli.exits import EXIT_DAMAGED
 from labrig.cli.live import drive
 from labrig.cli.say import AsJson, bars, one, out_console, say, say_json, say_session
-from labrig.rig import open_rig
-from labrig.session import Session
 
 
 def capture(
@@ -37,14 +35,15 @@ def capture(
 
 
 def resume(
-    session: Annotated[Path, typer.Argument(help="Session folder.")], as_json: AsJson = False
+    session: Annotated[Path, typer.Argument(help="Session folder.")],
+    rig: Annotated[
+        Path | None, typer.Option(help="Rig file; else the rig as the session keeps it.")
+    ] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Take the shots that an interrupted session lacks."""
-    found = Session.open(session)
-    wanted = plan_of(found.header, session)
-    rig, scene, latency = rig_of(found.header, session)
     with bars() as follow:
-        opened = open_rig(rig, scene, wanted, latency=latency, progress=one(follow, "light"))
+        opened = labrig.reopen_rig(session, rig, progress=one(follow, "light"))
     with opened:
         path = drive(prepare_resume(session, opened))
     say_session(path, as_json)

@@ -14,6 +14,7 @@ from labrig.cli.devices import devices
 from labrig.cli.doctor import doctor
 from labrig.cli.gui import gui
 from labrig.cli.schema import schema
+from labrig.cli.series import series
 from labrig.cli.solve import solve
 
 app = typer.Typer(
@@ -32,6 +33,7 @@ for command in (
     ls,
     analyse,
     report,
+    series,
     solve,
     devices,
     doctor,

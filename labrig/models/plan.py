@@ -150,6 +150,9 @@ class Limits(Model):
     failures_per_run: float = Field(0.05, ge=0.0, le=1.0, description="share of the shots")
     max_gap_in_group_s: Positive = 30.0
     on_failure: Literal["pause", "abort"] = "pause"
+    shift_residual: Positive = Field(
+        0.03, description="of the light, by which shifts may fail to add up"
+    )
     reference_drift: Positive = Field(0.02, description="of the white light; above: new segment")
 
 

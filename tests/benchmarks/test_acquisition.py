@@ -1,6 +1,7 @@
 """What a capture costs beyond waiting for light: `make bench`. In `make test` at toy size."""
 
 import time
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.simulation.sensor import Noise
+from drivers.waiting import CancelToken, Clock
 from labrig.capturing import prepare
 from labrig.config import parse
 from labrig.models.plan import Plan
@@ -16,7 +18,8 @@ from labrig.models.scene import Scene
 from labrig.rig import connect
 from labrig.run_state import Command, State
 from labrig.sequence import Step
-from labrig.session_writer import Item, SessionWriter
+from labrig.session_items import Item
+from labrig.session_writer import SessionWriter
 
 SCENE = {
     "schema": "labrig-scene/1",
@@ -57,6 +60,22 @@ def rig_and_plan(rows: int, cols: int, shifts: int, bracket_s: list[float]):
     return parse(rig, Rig, source="rig"), parse(plan, Plan, source="plan")
 
 
+class Watched:
+    """A clock that notes how late its waits end: that time is the machine's, not the program's."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self.late_s = 0.0
+
+    def now_s(self) -> float:
+        return self._clock.now_s()
+
+    def wait_until(self, instant_s: float, cancel: CancelToken) -> None:
+        due_s = max(instant_s, self._clock.now_s())
+        self._clock.wait_until(instant_s, cancel)
+        self.late_s += self._clock.now_s() - due_s
+
+
 def test_overhead_of_a_capture_in_real_time(benchmark, tmp_path: Path, monkeypatch):
     """24 patterns x 4 exposures of 1.2 MP on the host's clock; each part of the time is listed.
 
@@ -73,15 +92,17 @@ def test_overhead_of_a_capture_in_real_time(benchmark, tmp_path: Path, monkeypat
         Noise, "digitise", lambda _self, _e, exposure_s, _name: made[exposure_s][next(turn) % 3]
     )
     light = SimpleNamespace(light=lambda _image, _black: np.zeros((1, 1)))
-    marks: dict[str, float] = {}
+    # instant, CPU of this thread, late by then, and the step that begins
+    marks: list[tuple[float, float, float, str]] = []
 
     def mark(event) -> None:
-        if event.kind == "step" and event.status.shot and event.status.step is Step.SHOW:
-            marks.setdefault("begin", time.monotonic())
-        if event.kind == "state" and event.status.state is State.FINISHING:
-            marks["end"] = time.monotonic()
+        ended = not marks or marks[-1][3] == "end"
+        if event.kind == "step" and (event.status.shot or not ended):
+            now = (time.monotonic(), time.thread_time(), clock.late_s)
+            marks.append((*now, str(event.status.step) if event.status.shot else "end"))
 
     with connect(config, parse(SCENE, Scene, source="scene"), light) as rig:
+        clock = rig._world.clock = Watched(rig.clock)
         runner = prepare(plan, rig, tmp_path)
         runner.subscribe(mark)
         runner.post(Command.START)
@@ -94,13 +115,30 @@ def test_overhead_of_a_capture_in_real_time(benchmark, tmp_path: Path, monkeypat
             "discards": 0.0,
         }
     assert finish.status.state is State.COMPLETED, finish.status.reason
-    took_s = marks["end"] - marks["begin"]
-    share = took_s / sum(parts.values()) - 1.0
+    assert [step for *_, step in marks] == [*map(str, Step)] * n + ["end"]
+    took_s, cpu_s, late_s = (marks[-1][k] - marks[0][k] for k in range(3))
+    needed_s = sum(parts.values())
+    own_s = took_s - needed_s - late_s
+    # every instant is either waited for, slept too long, or the program's own
+    assert own_s > 0.0
     if benchmark.enabled:
         told = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in parts.items())
-        print(f"\n{n} shots in {took_s:.2f} s: {told}; overhead {100 * share:.2f} %")  # noqa: T201
-        # the aim is 3 %; on two cores that others kept busy (load 8) 14 % were measured
-        assert share < 0.5
+        print(f"\n{n} shots in {took_s:.2f} s: {told}")  # noqa: T201
+        for what, seconds in (
+            ("beyond these", took_s - needed_s),
+            ("of it sleeps that ended late", late_s),
+            ("of it the program", own_s),
+            ("CPU of the run's thread", cpu_s),
+        ):
+            share = 100.0 * seconds / needed_s
+            print(f"  {what}: {1e3 * seconds / n:.2f} ms a shot, {share:.2f} %")  # noqa: T201
+        for step in Step:
+            cost = [b[1] - a[1] for a, b in pairwise(marks) if a[3] == step]
+            print(f"  CPU of {step}: {1e3 * sum(cost) / n:.2f} ms a shot")  # noqa: T201
+        # 1.6 to 2.0 % beyond, 1.5 to 1.9 % of CPU, with real-time priority (chrt -f 10) on two
+        # cores that others kept busy; without it sleeps end late there, and 3.4 to 7.9 % were seen
+        assert cpu_s / needed_s < 0.03
+        assert took_s / needed_s - 1.0 < 0.1
 
 
 @pytest.mark.parametrize("group", [1, 8])
@@ -129,5 +167,6 @@ def test_commit_costs_little_cpu(benchmark, group, tmp_path: Path):
             f"\ncommit in groups of {group}: {1e3 * cpu_s / n:.1f} ms CPU a frame, "
             f"{n / took_s:.0f} frames/s"
         )
-        assert cpu_s / n < 0.015
+        # R8 asks for 5, on a quiet machine; measured 4.5 and 6.2 ms at a load of 24
+        assert cpu_s / n < 0.008
         assert n / took_s > 15.0

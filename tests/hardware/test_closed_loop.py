@@ -13,6 +13,9 @@ from emulated.tank import describe
 from emulated.x_server import XServer
 
 import labrig
+from labrig.capturing import prepare
+from labrig.run_state import Command, State
+from labrig.session import Session
 
 ROWS, COLS = 24, 640
 RIG = """\
@@ -115,4 +118,36 @@ def test_a_session_captured_in_closed_loop_is_analysed_to_the_true_parameters(be
     assert found["sigma_s_per_mm"] == pytest.approx(0.15, rel=0.2)
     assert found["g"] == pytest.approx(0.3, abs=0.15)
     assert not result.run.get("truth")
+    assert server.await_black(within_s=1.0)
+
+
+def test_a_session_of_real_devices_is_resumed_by_the_rig_it_keeps(bench, tmp_path, command):
+    paths, server = bench
+    plan = labrig.load_plan(paths["plan"])
+    with labrig.open_rig(paths["rig"], paths["scene"], plan) as rig:
+        runner = prepare(plan, rig, tmp_path / "sessions")
+        runner.subscribe(
+            lambda e: e.status.shot == "white-e0-r0" and runner.post(Command.ABORT_AFTER_GROUP)
+        )
+        runner.post(Command.START)
+        assert runner.run().status.state is State.ABORTED
+    path = runner.path
+    before = set(Session.open(path).frames)
+    assert before == {*(f"stripes-e0-r0-p{k:02d}" for k in range(6)), "white-e0-r0"}
+    assert server.await_black(within_s=1.0)
+    # a rig file may say where the devices are now, but they must be the same ones
+    other = tmp_path / "other.yaml"
+    other.write_text(paths["rig"].read_text().replace("black_level_dn: 200", "black_level_dn: 0"))
+    said = command("resume", path, "--rig", other)
+    assert said.code == 4
+    assert "camera.black_level_dn was 200.0, is 0.0" in said.err
+    assert set(Session.open(path).frames) == before
+    said = command("resume", path)
+    assert (said.code, said.out.strip()) == (0, str(path)), said.err
+    assert labrig.verify(path) == []
+    session = Session.open(path)
+    assert not session.missing
+    segments = {shot: frame.details["segment"] for shot, frame in session.frames.items()}
+    assert {segments[shot] for shot in before} == {1}
+    assert {segments[shot] for shot in segments.keys() - before} == {2}
     assert server.await_black(within_s=1.0)

@@ -18,6 +18,7 @@ from drivers.trigger.serial import SerialTrigger
 from drivers.trigger.usb import UsbTrigger
 from drivers.waiting import CancelToken
 from labrig import real_devices, udev
+from labrig.doctor_devices import of_rig
 from labrig.errors import ConfigError, RunError
 from labrig.models.devices import PluginTriggerConfig, UsbTriggerConfig, V4l2CameraConfig
 
@@ -113,3 +114,19 @@ def test_rules_are_shown_and_installed_only_after_a_yes(tmp_path, monkeypatch):
         assert needed in udev.rules()
     with pytest.raises(RunError, match="sudo labrig doctor --fix-udev"):
         udev.install(tmp_path / "none" / "70-labrig.rules")
+
+
+def test_doctor_holds_the_rigs_output_to_the_one_that_is_there(tmp_path, monkeypatch):
+    server = XServer(tmp_path, right=(64, 48))
+    bench = labrig.load_rig(labrig.config_folder() / "rigs" / "bench.yaml")
+
+    def told(**changes):
+        entry = {"display": server.display, "output": "PROJ", "rows": 48, "cols": 64, **changes}
+        rig = bench.model_copy(update={"projector": bench.projector.model_copy(update=entry)})
+        return next(f for f in of_rig(rig, tmp_path) if f.name == "rig's projector")
+
+    assert told().ok
+    assert told(rows=720).remedy == "xrandr --output PROJ --mode 64x720"
+    assert "there are: LEFT, PROJ" in told(output="HDMI-1").text
+    server.stop()
+    assert "no X server" in told().text

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import json
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +25,7 @@ from labrig.probe import resolve
 from labrig.replay import replay_camera
 from labrig.run_state import State
 from labrig.session import Session
+from labrig.session_lock import holder
 
 
 def test_check_prints_costs_and_verdicts(command, small_plan, small_rig, tmp_path) -> None:
@@ -65,13 +70,56 @@ def test_latency_capture_resume_and_list(command, small_plan, small_rig, small_s
     (path,) = (tmp_path / "data").glob("*/*/")
     said = command("ls", tmp_path / "data", "--json")
     assert [(e["state"], e["saved"]) for e in json.loads(said.out)] == [("aborted", 16)]
-    said = command("resume", path)
+    other = tmp_path / "other.yaml"
+    other.write_text(small_rig.read_text().replace("refresh_hz: 60", "refresh_hz: 75"))
+    said = command("resume", path, "--rig", other)
+    assert said.code == 4
+    assert "refresh_hz was 60.0, is 75.0" in said.err
+    # measured anew meanwhile, which is no other rig
+    again = shutil.copy(small_rig, tmp_path / "again.yaml")
+    devices = ("--rig", again, "--scene", small_scene)
+    assert command("calibrate", "latency", small_plan, *devices, "--flips", 20).code == 0
+    said = command("resume", path, "--rig", again)
     assert (said.code, said.out.strip()) == (0, str(path)), said.err
     assert command("verify", path).code == 0
     assert json.loads(command("ls", tmp_path / "data", "--json").out)[0]["state"] == "completed"
     said = command("resume", path)
     assert said.code == 3
     assert "nothing to resume" in said.err
+
+
+def test_ctrl_c_twice_leaves_a_session_that_can_be_resumed(
+    command, small_plan, small_rig, small_scene, small_session, tmp_path
+) -> None:
+    """A real process in real time; the light of the scene is there, the shared session made it."""
+    rig = shutil.copy(small_rig, tmp_path / "rig.yaml")
+    rig.write_text(rig.read_text() + "simulation: {clock: real}\n")
+    code = "import sys; from labrig.cli import main; main()"
+    words = ["capture", small_plan, "--rig", rig, "--scene", small_scene, "--out", tmp_path / "d"]
+    with subprocess.Popen(
+        [sys.executable, "-c", code, *map(str, words)], stderr=subprocess.PIPE, text=True
+    ) as child:
+        until = time.monotonic() + 60.0
+        while not list((tmp_path / "d").glob("*/*/frames/*.tif")):
+            assert child.poll() is None
+            assert time.monotonic() < until
+            time.sleep(0.02)
+        child.send_signal(signal.SIGINT)
+        time.sleep(0.01)
+        child.send_signal(signal.SIGINT)
+        _, said = child.communicate(timeout=30.0)
+    assert child.returncode == 130
+    assert said == "labrig: interrupted; what was saved stays saved.\n"
+    (path,) = (tmp_path / "d").glob("*/*/")
+    session = Session.open(path)
+    assert session.sealed
+    assert session.events[-1]["outcome"] == "aborted"
+    assert session.missing
+    assert holder(path) is None
+    rig.write_text(small_rig.read_text())
+    said = command("resume", path, "--rig", rig)
+    assert said.code == 0, said.err
+    assert command("verify", path).code == 0
 
 
 def test_doctor_names_what_is_missing_and_the_remedy(command, small_rig, tmp_path) -> None:

@@ -6,19 +6,22 @@ import errno
 import os
 import shutil
 import time
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 import toy
 
+from drivers.errors import FrameCorruptError, NoFrameError
 from drivers.waiting import CancelToken
 from labrig.catalogue import FILE, catalogue
 from labrig.disk import Disk
 from labrig.keeper import Keeper
 from labrig.run_state import Command, State
 from labrig.session import Session, verify
-from labrig.session_writer import Item, SessionWriter
+from labrig.session_items import Item
+from labrig.session_writer import SessionWriter
 
 CALLS = ("open", "write", "fsync", "fdatasync", "replace")
 SHORT = -1  # in place of an errno: the call writes half
@@ -60,7 +63,7 @@ def picture() -> np.ndarray:
     return np.random.default_rng(1).integers(0, 4096, (24, 32), dtype=np.uint16)
 
 
-def test_a_frame_is_on_the_disk_before_its_line_is_written(tmp_path, monkeypatch) -> None:
+def test_r2_a_frame_is_on_the_disk_before_its_line_is_written(tmp_path, monkeypatch) -> None:
     with SessionWriter.create(tmp_path, "toy", {"shots": [{"id": "a"}, {"id": "b"}]}) as writer:
         names = {writer._journal: str(writer.path / "journal.jsonl")}
         with monkeypatch.context() as patch:
@@ -78,7 +81,7 @@ def test_a_frame_is_on_the_disk_before_its_line_is_written(tmp_path, monkeypatch
     ]
 
 
-def test_a_group_shares_the_folder_and_the_journal(tmp_path, monkeypatch) -> None:
+def test_r2_a_group_shares_the_folder_and_the_journal(tmp_path, monkeypatch) -> None:
     shots = [f"s{k}" for k in range(8)]
     header = {"shots": [{"id": s} for s in shots]}
     with SessionWriter.create(tmp_path, "toy", header) as writer:
@@ -120,7 +123,7 @@ def capture_with_shim(root: Path, **how) -> tuple[Shim, object, Session | None]:
 
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO, SHORT])
-def test_any_call_that_fails_pauses_and_the_session_completes(code, tmp_path: Path) -> None:
+def test_r3_any_call_that_fails_pauses_and_the_session_completes(code, tmp_path: Path) -> None:
     shim, finish, whole = capture_with_shim(tmp_path / "whole")
     assert finish.status.state is State.COMPLETED
     frames = toy_pixels(whole)
@@ -167,7 +170,7 @@ class SlowDisk(Disk):
         super().write_files(files)
 
 
-def test_queue_is_bounded_waits_and_loses_nothing(tmp_path: Path) -> None:
+def test_r7_queue_is_bounded_waits_and_loses_nothing(tmp_path: Path) -> None:
     """R7: at a camera twice as fast as the disk, all frames are kept, and memory is bounded."""
     shots = [f"s{k}" for k in range(60)]
     disk = SlowDisk()
@@ -188,7 +191,40 @@ def test_queue_is_bounded_waits_and_loses_nothing(tmp_path: Path) -> None:
     assert 1 < disk.most <= 8
 
 
-def test_catalogue_is_derived_and_comes_back(tmp_path: Path) -> None:
+def test_r7_every_frame_of_the_camera_is_journaled_or_journaled_as_dropped(tmp_path) -> None:
+    """At a disk slower than the camera, with frames lost, late, twice and broken on the way."""
+    spoilt = ("drop", "duplicate", "corrupt", "flagged", "hidden-exposure")
+    faults = [{"kind": k, "shot": f"stripes-e1-r0-p{n % 4:02d}"} for n, k in enumerate(spoilt)]
+    came: Counter[str] = Counter()
+    with toy.rig_of(*faults) as rig:
+        rig.disk, collect = SlowDisk(), rig.camera.collect
+
+        def counted(**how):
+            of_plan = not rig._world.faults.shot.startswith("reference")
+            try:
+                frame = collect(**how)
+            except (NoFrameError, FrameCorruptError):
+                came["lost"] += of_plan
+                raise
+            came["frames"] += of_plan
+            return frame
+
+        rig.camera.collect = counted
+        plan = toy.plan_of(limits={"failures_per_run": 1.0})
+        finish, session = toy.run(toy.prepare(plan, rig, tmp_path))
+    assert finish.status.state is State.COMPLETED, finish.status.reason
+    lines = Counter(e["event"] for e in session.events)
+    assert came == {
+        "frames": lines["commit"] + lines["reject"],
+        "lost": lines["drop"],
+    }
+    assert lines["drop"] >= 2
+    assert lines["reject"] >= 2
+    close = session.events[-1]
+    assert (close["expected"], close["saved"], close["dropped"]) == (12, 12, lines["drop"])
+
+
+def test_r12_catalogue_is_derived_and_comes_back(tmp_path: Path) -> None:
     toy.capture(tmp_path)
     toy.capture(tmp_path, {"kind": "drop", "shot": "white-e1-r0", "times": 99})
     before = catalogue(tmp_path)
@@ -203,7 +239,7 @@ def test_catalogue_is_derived_and_comes_back(tmp_path: Path) -> None:
     assert catalogue(tmp_path)[0].state == "damaged"
 
 
-def test_500_sessions_are_listed_quickly(tmp_path: Path) -> None:
+def test_r12_500_sessions_are_listed_quickly(tmp_path: Path) -> None:
     for k in range(500):
         folder = tmp_path / "2026-11-22" / f"{k:06d}_s_0000"
         folder.mkdir(parents=True)

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import zlib
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import labrig
 from labrig.config import SCHEMAS, load
 from labrig.errors import LabrigError, SessionError
 from labrig.session import Session, verify
@@ -155,6 +157,18 @@ def test_hostile_links_lead_nowhere_on_resume(hostile, tmp_path: Path) -> None:
     with pytest.raises(SessionError):
         reopen(path)
     assert sorted((p.name, p.stat().st_mtime_ns) for p in [outside, *outside.glob("*")]) == before
+
+
+def test_hostile_link_does_not_lead_results_outside(tmp_path: Path) -> None:
+    _, session = toy.capture(tmp_path / "in")
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (session.path / "results").symlink_to(outside)
+    for act in (partial(labrig.analyse, until="separation"), labrig.report):
+        with pytest.raises(SessionError, match="symbolic link"):
+            act(session.path)
+    assert list(outside.iterdir()) == []
+    labrig.analyse(session.path, until="separation", out=tmp_path / "elsewhere")
 
 
 def test_frame_that_claims_a_huge_size_is_not_read(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import toy
 
+import labrig
 from calibration.errors import CalibrationError
 from labrig.errors import RunError
 from labrig.latency import measure_latency
@@ -86,3 +87,16 @@ def test_plan_that_wants_a_fresh_latency_refuses_an_old_one(age_h, tmp_path: Pat
     assert finish.status.state is State.REFUSED
     assert isinstance(finish.error, RunError)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_was_shown_before_does_not_spoil_the_first_flip(tmp_path: Path) -> None:
+    """An automatic bracket leaves white light behind that is still going when flips begin."""
+    plan = toy.plan_of(exposures={"bracket_s": None, "auto": {"target": 0.7, "steps": 2}})
+    for seed in (1, 2):
+        with toy.rig_of(camera={"seed": seed}) as rig:
+            rig.latency = record(rig)
+            finish, session = toy.run(toy.prepare(plan, rig, tmp_path / str(seed)))
+        assert finish.status.state is State.COMPLETED, finish.status.reason
+    # and the record in the header is no calibration that an analysis would look for on the disk
+    result = labrig.analyse(session.path, until="separation", out=tmp_path / "results")
+    assert result.run["provenance"]["calibration"] == {}

@@ -18,8 +18,9 @@ from labrig.errors import RunError, SessionError, SessionLockedError
 from labrig.run_state import Command, State
 from labrig.sequence import Step
 from labrig.session import Session, verify
+from labrig.session_items import Item
 from labrig.session_recovery import reopen
-from labrig.session_writer import Item, SessionWriter
+from labrig.session_writer import SessionWriter
 
 # `make torture` kills 500 times
 KILLS = int(os.environ.get("LABRIG_KILLS", "50"))
@@ -68,7 +69,7 @@ def forked(work, kill_after_s: float | None) -> tuple[list[str], int]:
         return stream.read().split(), os.WTERMSIG(status)
 
 
-def test_kills_at_random_moments_lose_nothing(unbroken, tmp_path: Path) -> None:
+def test_r1_kills_at_random_moments_lose_nothing(unbroken, tmp_path: Path) -> None:
     rng = random.Random(5)  # noqa: S311 - moments of death need no secrecy
     kills = 0
     while kills < KILLS:
@@ -107,7 +108,7 @@ def test_kills_at_random_moments_lose_nothing(unbroken, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("step", [Step.SHOW, Step.EXPOSE, Step.COLLECT, Step.COMMIT])
-def test_killed_at_a_step_it_resumes_to_the_same_frames(step, unbroken, tmp_path: Path) -> None:
+def test_r1_killed_at_a_step_it_resumes_to_the_same_frames(step, unbroken, tmp_path: Path) -> None:
     fault = {"kind": "kill", "shot": "stripes-e1-r0-p01", "step": step}
     _, how = forked(lambda _say: toy.capture(tmp_path, fault), None)
     assert how == signal.SIGKILL
@@ -179,6 +180,8 @@ def test_resume_refuses_another_camera_naming_the_difference(tmp_path: Path) -> 
         toy.resume(path, camera={"seed": 2})
     with pytest.raises(RunError, match=r"refresh_hz was 60\.0, is 75\.0"):
         toy.resume(path, projector={"refresh_hz": 75})
+    with pytest.raises(RunError, match=r"geometry\.mm_per_px was 0\.5, is 0\.4"):
+        toy.resume(path, geometry={"mm_per_px": 0.4})
     assert sorted(p.name for p in path.rglob("*")) == before
 
 
@@ -190,7 +193,7 @@ def test_damage_inside_the_journal_is_not_resumed(tmp_path: Path) -> None:
         toy.resume(path)
 
 
-def test_a_session_being_written_is_not_resumed(tmp_path: Path) -> None:
+def test_r6_a_session_being_written_is_not_resumed(tmp_path: Path) -> None:
     with SessionWriter.create(tmp_path, "s", {"shots": [{"id": "a"}]}) as writer:
         begun = time.monotonic()
         with pytest.raises(SessionLockedError, match=f"pid {os.getpid()}"):
@@ -199,7 +202,7 @@ def test_a_session_being_written_is_not_resumed(tmp_path: Path) -> None:
         assert time.monotonic() - begun < 0.1
 
 
-def test_recovery_of_672_frames_is_quick(tmp_path: Path) -> None:
+def test_r8_recovery_of_672_frames_is_quick(tmp_path: Path) -> None:
     shots = [{"id": f"s{n}"} for n in range(672)]
     picture = np.random.default_rng(1).integers(0, 4096, (64, 64), dtype=np.uint16)
     writer = SessionWriter.create(tmp_path, "many", {"shots": shots})

@@ -1,0 +1,50 @@
+"""Sessions that many tests read or damage."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from samples import write
+
+Complaint = Callable[..., str]
+
+
+@pytest.fixture
+def sealed(tmp_path: Path) -> Path:
+    return write(tmp_path)
+
+
+@pytest.fixture
+def interrupted(tmp_path: Path) -> Path:
+    with pytest.raises(KeyboardInterrupt):
+        write(tmp_path, shots=4, fail=True)
+    return next(tmp_path.glob("*/*"))
+
+
+@pytest.fixture
+def complaint(command: Callable[..., Any]) -> Complaint:
+    """Return ``complaint(*arguments, code=None)``: the one line with which a command fails."""
+
+    def of(*arguments: object, code: int | None = None) -> str:
+        said = command(*arguments)
+        assert said.code != 0
+        assert code is None or said.code == code
+        assert said.err.startswith("labrig: "), said.err
+        assert said.err.count("\n") == 1
+        assert "Traceback" not in said.out
+        return str(said.err)
+
+    return of
+
+
+@pytest.fixture(scope="session")
+def coarse(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An analysis file for tests that ask no more of the solver than that it answers."""
+    path = tmp_path_factory.mktemp("analysis") / "coarse.yaml"
+    path.write_text(
+        "schema: labrig-analysis/1\nn_theta: 32\nn_bounces: 4\nn_g: 3\ng_range: [-0.5, 0.7]\n"
+    )
+    return path
