@@ -7,7 +7,7 @@ HARDWARE_PACKAGES := xvfb x11-xserver-utils libxrandr2 libxss1 g++ gcc libc6-dev
     libusb-1.0-0 umockdev gir1.2-umockdev-1.0 python3-gi gir1.2-aravis-0.8
 VM_PACKAGES := qemu-system-x86 busybox-static cpio kmod udev v4l-utils
 
-.PHONY: demo test hardware-packages vm-packages genicam hardware-vm lint types contracts bench torture figures lock install clean
+.PHONY: demo test hardware-packages vm-packages genicam hardware-vm lint types contracts bench bench-gui soak screenshots torture figures lock install clean
 
 demo: install  ## the main job on the simulated rig
 	@$(BIN)/labrig demo
@@ -26,6 +26,15 @@ contracts: install
 
 bench: install  ## everything that is fast or slow
 	@$(BIN)/python -m pytest tests/benchmarks --benchmark-enable -q -s
+
+bench-gui: install  ## how fast the operator's window is
+	@$(BIN)/python tests/gui/bench_window.py
+
+soak: install  ## ten minutes of live view: memory must stay flat
+	@$(BIN)/python tests/gui/bench_window.py soak
+
+screenshots: install  ## the pictures of the operator's guide, from the simulated rig
+	@$(BIN)/python tests/gui/screenshots.py
 
 torture: install  ## 500 kills at random moments, 10 000 fuzzed files, the power cut at every flush
 	@LABRIG_KILLS=500 LABRIG_FUZZ=2500 LABRIG_CUTS=2000 $(BIN)/python -m pytest -q -n auto \

@@ -130,12 +130,12 @@ def rectify(
     if unit == "px" and (setup.tank or setup.beam or setup.projection):
         msg = "tank, beam and projection are in mm, but geometry.mm_per_px is not given; add it."
         raise AnalysisRefusedError(msg)
-    turned = {name: _turned_radiance(radiance, setup) for name, radiance in radiances.items()}
-    lost = [~turned[name].valid for name in shifts]
+    pictures = {name: _turned_radiance(radiance, setup) for name, radiance in radiances.items()}
+    lost = [~pictures[name].valid for name in shifts]
     return Pictures(
-        stripes_variance=np.stack([turned[name].variance for name in shifts]),
-        position_px=None if position is None else _turned(position, setup),
-        captured=turned[shifts[0]].value.astype(np.float64),
+        stripes_variance=np.stack([pictures[name].variance for name in shifts]),
+        position_px=None if position is None else turned(position, setup),
+        captured=pictures[shifts[0]].value.astype(np.float64),
         beam_angle_deg=angle,
         pixel=float(pixel or 1.0),
         unit=unit,
@@ -144,8 +144,8 @@ def rectify(
         contrast=None
         if known.projected is None or known.projected.contrast is None
         else known.projected.contrast.at,
-        more=tuple(_series(turned, one) for one in others),
-        **_without_black(turned, shifts),
+        more=tuple(_series(pictures, one) for one in others),
+        **_without_black(pictures, shifts),
     )
 
 
@@ -301,13 +301,13 @@ def _resampled(radiance: Radiance, even: Resampling) -> Radiance:
 
 def _turned_radiance(radiance: Radiance, setup: Setup) -> Radiance:
     return Radiance(
-        value=_turned(radiance.value, setup),
-        variance=_turned(radiance.variance, setup),
-        valid=_turned(radiance.valid, setup),
+        value=turned(radiance.value, setup),
+        variance=turned(radiance.variance, setup),
+        valid=turned(radiance.valid, setup),
     )
 
 
-def _turned(picture: NDArray[T], setup: Setup) -> NDArray[T]:
+def turned(picture: NDArray[T], setup: Setup) -> NDArray[T]:
     """Return the region with the lit side left, cut to the tank where that is given."""
     geometry = setup.geometry
     x, y, width, height = geometry.region_px or (0, 0, picture.shape[1], picture.shape[0])

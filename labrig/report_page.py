@@ -141,15 +141,15 @@ def render(result: Result, plates: list[Plate], truth: Mapping[str, float]) -> s
         origin=_origin(run.get("session", {})),
         **_headline(run),
         unit=unit,
-        parameters=list(_parameters(run, unit, truth)),
+        parameters=list(parameter_rows(run, unit, truth)),
         with_truth=bool(truth),
-        remarks=list(_remarks(run, unit)),
+        remarks=list(remarks(run, unit)),
         uncertainty=run.get("uncertainty", ""),
         methods=_methods(run, unit),
         alternatives=list(_extinctions(run, unit, truth)),
         notes=run.get("notes", []),
         plates=plates,
-        quality=list(_quality(run.get("quality", {}), unit)),
+        quality=list(quality_rows(run.get("quality", {}), unit)),
         seconds=run.get("seconds", {}),
         result_id=run.get("id", result.path.name),
         schema=run.get("schema", UNKNOWN),
@@ -196,7 +196,7 @@ def _date(text: str, form: str) -> str:
     return f"{moment.day} {moment:%B %Y, %H:%M} UTC"
 
 
-def _parameters(
+def parameter_rows(
     run: Mapping[str, Any], unit: str, truth: Mapping[str, float]
 ) -> Iterator[Parameter]:
     """Yield the parameters that were found or are known, absorption beside them."""
@@ -240,7 +240,7 @@ def _off(value: float, true: float, *, relative: bool = True) -> str:
     return f"{value - true:+.2g}".replace("-", "−")
 
 
-def _remarks(run: Mapping[str, Any], unit: str) -> Iterator[str]:
+def remarks(run: Mapping[str, Any], unit: str) -> Iterator[str]:
     """Yield what must be known to read the table: missing and too small standard deviations."""
     quality = run.get("quality", {})
     missing = [
@@ -308,7 +308,7 @@ def _extinctions(
         )
 
 
-def _quality(quality: Mapping[str, Any], unit: str) -> Iterator[tuple[str, str]]:
+def quality_rows(quality: Mapping[str, Any], unit: str) -> Iterator[tuple[str, str]]:
     """Yield what was checked and what came out, as text."""
     for key, name in (
         ("saturated_fraction", "pixels saturated in every exposure"),

@@ -68,7 +68,7 @@ class Runner(RunLog):
         self._cancel = CancelToken()
         self._after_group = False
         self._pause_asked = False
-        self.latest: tuple[str, NDArray[np.uint16]] | None = None
+        self.latest: tuple[Shot, NDArray[np.uint16]] | None = None
         self.references = references or References(self._plan, rig)
         self._writer: SessionWriter | None = None
         self._sequencer: Sequencer | None = None
@@ -82,6 +82,11 @@ class Runner(RunLog):
     def path(self) -> Path:
         """The session's folder; it exists once the run is armed."""
         return need(self._writer).path
+
+    @property
+    def armed(self) -> bool:
+        """Whether there is a session's folder."""
+        return self._writer is not None
 
     def post(self, command: Command) -> None:
         """Ask something of the run; may be called from any thread and in any state."""
@@ -195,7 +200,7 @@ class Runner(RunLog):
                 continue
             break
         self._step(shot.id, Step.COMMIT)
-        self.latest = (shot.id, taken.frame.pixels)
+        self.latest = (shot, taken.frame.pixels)
         # the long exposures of a bracket are meant to clip
         shortest = shot.exposure_s == min(s.exposure_s for s in self._expanded.shots)
         allowed = self._plan.limits.saturated_fraction if shortest else None

@@ -9,48 +9,8 @@ import typer
 from analysis.errors import AnalysisError
 from calibration.errors import CalibrationError
 from drivers.errors import DriverError
-from labrig.cli.accuracy import app as accuracy
-from labrig.cli.analyse import analyse, report
-from labrig.cli.calibrate import app as calibrate
-from labrig.cli.capture import capture, import_, ls, resume, verify
-from labrig.cli.check import check
-from labrig.cli.demo import demo
-from labrig.cli.devices import devices
-from labrig.cli.doctor import doctor
 from labrig.cli.exits import EXIT_BAD_INPUT, EXIT_DAMAGED, EXIT_DEVICE, EXIT_INTERRUPTED
-from labrig.cli.schema import schema
-from labrig.cli.series import series
-from labrig.cli.simulate import simulate_
-from labrig.cli.solve import solve
 from labrig.errors import LabrigError, RunError, SessionError
-
-app = typer.Typer(
-    name="labrig",
-    help="Measure how light travels in scattering media.",
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
-for command in (
-    demo,
-    check,
-    capture,
-    resume,
-    verify,
-    ls,
-    analyse,
-    report,
-    series,
-    solve,
-    devices,
-    doctor,
-    schema,
-):
-    app.command()(command)
-app.command(name="import")(import_)
-app.command(name="simulate")(simulate_)
-app.add_typer(calibrate, name="calibrate")
-app.add_typer(accuracy, name="accuracy")
 
 
 def main() -> None:
@@ -60,8 +20,8 @@ def main() -> None:
 
 def run(arguments: list[str]) -> int:
     """Run one command and return its exit code."""
-    command = typer.main.get_command(app)
     try:
+        command = typer.main.get_command(_app(arguments))
         code = command.main(arguments or ["--help"], prog_name="labrig", standalone_mode=False)
     except typer.TyperException as error:
         return _fail(error.format_message(), EXIT_BAD_INPUT)
@@ -79,6 +39,15 @@ def run(arguments: list[str]) -> int:
     if code == EXIT_INTERRUPTED:  # typer returns it where it was first to hear Ctrl-C
         return _fail("interrupted; what was saved stays saved.", EXIT_INTERRUPTED)
     return code if isinstance(code, int) else 0
+
+
+def _app(arguments: list[str]) -> typer.Typer:
+    """Return all commands; for the window that one alone, which must not wait for the solvers."""
+    if arguments[:1] == ["gui"]:
+        from labrig.cli.gui import app  # noqa: PLC0415
+    else:
+        from labrig.cli.commands import app  # noqa: PLC0415
+    return app
 
 
 def _fail(message: str, code: int) -> int:

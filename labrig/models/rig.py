@@ -39,6 +39,9 @@ class SimulatedCameraConfig(CameraConfig):
     exposure_report: Literal["per-frame", "none"] = "per-frame"
     hot_pixels: int = Field(0, ge=0, le=1_000_000)
     hot_e_per_s: NonNegative = 0.0
+    noise: Literal["exact", "quick"] = Field(
+        "exact", description="quick: shot noise as a normal one, at a camera's rate"
+    )
 
 
 class SimulatedProjectorConfig(Model):

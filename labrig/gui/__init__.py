@@ -1,0 +1,1 @@
+"""The operator's window: tkinter and no science; a panel a file."""
