@@ -20,7 +20,6 @@ from analysis.transport.exhaustive import predict_s, solve_exhaustive
 from analysis.transport.montecarlo import SampledField, simulate
 from analysis.transport.ordinates import DType, second_fluence, solve_on
 from analysis.transport.refine import SINGLE_DEPTHS
-from analysis.transport.second import second_at
 from analysis.transport.solve import choose, solve
 from labrig.costs import Costs, Run, Witness, with_front
 from labrig.errors import LabrigError
@@ -43,8 +42,7 @@ CELLS = (
 )  # of the finest guess
 FINE_SHARE, FINE_DIRECTIONS = 0.7, (96, 512)  # on finer grids fewer directions are a waste
 DIRECTIONS = (32, 48, 64, 96, 128, 192, 256)
-SECOND_DIRECTIONS = (64, 128, 256, 512)
-SECOND_POINTS = (4, 6, 8, 11)  # between two kinks, instead of directions
+SECOND_DIRECTIONS = (64, 128, 256, 512, 1024, 2048)
 MOST_RADIANCES = 1.9e8  # of one setting, some seconds
 MOST_SECOND = 2.6e8  # nodes times directions
 PATHS = tuple(4096 * 4**n for n in range(7))
@@ -174,7 +172,17 @@ def _automatic(task: _Task, truth: Truth, notes: list[str]) -> Iterator[list[Run
 def _grids(task: _Task) -> list[tuple[Resolution, bool]]:
     """Return the cells that are tried, and whether they are fine."""
     finest = guess(task.medium, task.tank, task.beam, TOLERANCES[-1])
-    return [(finest.refined(share, 1.0), share > FINE_SHARE) for share in CELLS]
+    return [
+        (
+            replace(
+                finest,
+                cells_x=max(4, 4 * round(finest.cells_x * share / 4)),
+                cells_y=max(4, 4 * round(finest.cells_y * share / 4)),
+            ),
+            share > FINE_SHARE,
+        )
+        for share in CELLS
+    ]
 
 
 def _ordinates(
@@ -209,46 +217,34 @@ def _ordinates(
             name = f"{grid.n_y - 1} x {grid.n_x - 1} cells, {n_theta} directions"
             runs.append(Run(method="ordinates", setting=name, cpu_s=cpu_s, **_worst(error)))
             rest = float(error[1:].max())
-            good = [one for one in apart if one.error <= rest < error[0]]
+            more = [one for one in apart if one[0] > n_theta]
+            good = [one for one in more if one[2] <= rest] or more[-1:]
             if good:
-                chosen = min(good, key=lambda one: one.cpu_s)
+                n, more_s, second = good[0]
                 runs.append(
                     Run(
                         method="ordinates, order 2 apart",
-                        setting=f"{name}, {chosen.setting} for order 2",
-                        cpu_s=cpu_s + chosen.cpu_s,
-                        **_worst(np.array([chosen.error, *error[1:]])),
+                        setting=f"{name}, {n} for order 2",
+                        cpu_s=cpu_s + more_s,
+                        **_worst(np.array([second, *error[1:]])),
                     )
                 )
         yield runs
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Second:
-    """The second order summed by itself."""
-
-    setting: str
-    cpu_s: float
-    error: float
-
-
-def _second_apart(task: _Task, truth: Truth, grid: Grid, least: int) -> list[_Second]:
-    """Return the second order summed over directions, or over points between its kinks."""
-    medium, beam, nodes = task.medium, task.beam, grid.n_x * grid.n_y
-    ways: dict[str, Callable[[], Array]] = {
-        f"{n} directions": partial(second_fluence, medium, beam, grid, equal_angles(n))
-        for n in SECOND_DIRECTIONS
-        if n >= least and n * nodes <= MOST_SECOND
-    }
-    ways |= {
-        f"{n} points between kinks": partial(second_at, medium, beam, grid, grid.x_mm, grid.y_mm, n)
-        for n in SECOND_POINTS
-    }
+def _second_apart(
+    task: _Task, truth: Truth, grid: Grid, least: int
+) -> list[tuple[int, float, float]]:
+    """Return directions, CPU seconds and error of the second order summed by itself."""
     found = []
-    for setting, way in ways.items():
-        summed, cpu_s = timed(way)
-        error = truth.second_error_on(grid, medium.sigma_s_per_mm * summed)
-        found.append(_Second(setting=setting, cpu_s=cpu_s, error=error))
+    for n in (n for n in SECOND_DIRECTIONS if n >= least):
+        if n * grid.n_x * grid.n_y > MOST_SECOND:
+            break
+        summed, cpu_s = timed(
+            partial(second_fluence, task.medium, task.beam, grid, equal_angles(n))
+        )
+        second = task.medium.sigma_s_per_mm * summed
+        found.append((n, cpu_s, truth.second_error_on(grid, second)))
     return found
 
 

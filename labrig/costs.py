@@ -7,8 +7,6 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Literal
 
-LIMIT_S = 300.0  # CPU seconds that a solution may take; more has to be asked for
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:

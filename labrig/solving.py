@@ -14,7 +14,6 @@ from analysis.light_field import BounceField, Grid
 from analysis.medium import Beam, Medium, Tank
 from analysis.transport.ordinates import solve_on
 from analysis.transport.solve import TOLERANCES, Choice, Engine, choose, solve
-from labrig.costs import LIMIT_S
 from labrig.errors import RunError
 from labrig.models.scene import Scene
 from labrig.record import bounce_fields
@@ -48,20 +47,17 @@ def solve_scene(
     tolerance: float = 1e-3,
     engine: Engine = "auto",
     light_field: bool = True,
-    limit_s: float = LIMIT_S,
     progress: Callable[[int, int], None] | None = None,
 ) -> Solved:
     """Return every bounce of a scene to a tolerance; see `analysis.transport.solve.solve`.
 
-    Ordinates that are predicted to take more processor time than ``limit_s`` are refused.
-
     Raises
     ------
     analysis.errors.AnalysisError
-        If no answer exists, or it would not fit in the memory at hand or the time allowed.
+        If no answer exists, or it would not fit in the memory at hand.
     """
     medium, tank, beam = records(scene)
-    rate_s = _rate_s()  # loads the kernels, so that the time is that of the solver alone
+    _rate_s()  # loads the kernels, so that the time is that of the solver alone
     wall, cpu = time.perf_counter(), time.process_time()
     field = solve(
         medium,
@@ -72,8 +68,6 @@ def solve_scene(
         engine=engine,
         light_field=light_field,
         memory_bytes=memory_at_hand_bytes(),
-        limit_s=limit_s,
-        rate_s=rate_s,
         progress=progress,
     )
     return Solved(

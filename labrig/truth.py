@@ -3,30 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
 
-from analysis.light_field import Grid
+from analysis.light_field import Grid, equal_angles
 from analysis.medium import Beam, Medium, Tank
 from analysis.phase_function import Array
-from analysis.transport.choose import (
-    ANGLE_RATE,
-    USUAL_RATE,
-    Resolution,
-    guess,
-    relative_error,
-    resolvable,
-)
-from analysis.transport.ordinates import DType, solve_on
-from analysis.transport.second import second_at
+from analysis.transport.choose import USUAL_RATE, guess, relative_error, resolvable
+from analysis.transport.ordinates import DType, second_fluence, solve_on
 
-MOST_RADIANCES = 6e8
-FINEST = 1e-4  # the tolerance whose grid the truth's is at least twice
+MOST_RADIANCES = 5e8
+FINEST = 1e-4  # the tolerance whose grid the truth's is at least
 LEAST_DIRECTIONS = 256
-SECOND_POINTS = 16  # between two kinks: 1e-6 and better
-CELL_POINTS = 6  # likewise, for means over cells, which are held to noise
+SECOND_DIRECTIONS = 8192  # for point values
+CELL_DIRECTIONS = 1024  # for means over cells, which are held to noise
 MOST_JUDGED = 4000  # nodes; of finer grids every second or fourth is looked at
 GAUSS_POINTS = 4  # along each side of a cell, for its mean
 
@@ -41,9 +33,8 @@ class Truth:
     ----------
     second : order 2, for means over cells only
     later : orders 3 .. K, splines in y and x
-    error : relative, of the later ones: a third of what extrapolation from grids twice as coarse
-        would change, a quarter of what the spline misses between nodes twice as far apart, and
-        what half as many directions do on a coarse grid, by the rate that this falls with
+    error : relative, of the later ones: half of what the extrapolation changed, and a quarter of
+        what the spline misses between nodes twice as far apart
     """
 
     medium: Medium
@@ -74,7 +65,7 @@ class Truth:
     def _second_on(self, grid: Grid) -> Array:
         shape = (grid.n_y, grid.n_x)
         if shape not in self._exact:
-            self._exact[shape] = _second(self.medium, self.beam, grid)
+            self._exact[shape] = _second(self.medium, self.beam, grid, SECOND_DIRECTIONS)
         return self._exact[shape]
 
 
@@ -86,52 +77,57 @@ def find_truth(
     dtype: DType,
     progress: Callable[[str, int, int], None],
 ) -> Truth:
-    """Solve on three very fine nested grids and extrapolate; order 2 is the closed form."""
-    finest = _finest(medium, tank, beam, orders)
-    grids = [finest.grid(tank, every) for every in (4, 2, 1)]
-    fewer = replace(grids[0], n_theta=max(finest.n_theta // 2, resolvable(medium.g)))
+    """Solve on two very fine nested grids and extrapolate; order 2 is the closed form."""
+    fine = _finest(medium, tank, beam, orders)
+    half = Grid(
+        tank=tank,
+        n_x=(fine.n_x - 1) // 2 + 1,
+        n_y=(fine.n_y - 1) // 2 + 1,
+        n_theta=max(fine.n_theta // 2, resolvable(medium.g)),
+    )
     found = []
-    for done, grid in enumerate((fewer, *grids)):
-        progress("truth", done, 5)
+    for done, grid in enumerate((half, fine)):
+        progress("truth", done, 3)
         found.append(
             solve_on(medium, beam, grid, n_bounces=orders, light_field=False, dtype=dtype).fluence
         )
-    progress("truth", 4, 5)
-    limits = [_limit(grids, [one[k] for one in found[1:]]) for k in range(2, orders)]
-    turned = max(map(relative_error, found[0][2:], found[1][2:]))
-    half = grids[1]
-    second = second_at(medium, beam, half, half.x_mm[::2], half.y_mm[::2], CELL_POINTS)
-    progress("truth", 5, 5)
+    progress("truth", 2, 3)
+    limits = [_limit(half, fine, *pair) for pair in zip(found[0][2:], found[1][2:], strict=True)]
+    second = _second(medium, beam, half, CELL_DIRECTIONS)
+    progress("truth", 3, 3)
     return Truth(
         medium=medium,
         beam=beam,
-        second=RectBivariateSpline(half.y_mm[::2], half.x_mm[::2], medium.sigma_s_per_mm * second),
+        second=RectBivariateSpline(half.y_mm, half.x_mm, second),
         later=[spline for spline, _ in limits],
-        error=max(error for _, error in limits) + turned / (2.0**ANGLE_RATE - 1.0),
+        error=max(error for _, error in limits),
     )
 
 
-def _limit(grids: list[Grid], found: list[Array]) -> tuple[RectBivariateSpline, float]:
+def _limit(
+    half: Grid, fine: Grid, coarser: Array, finer: Array
+) -> tuple[RectBivariateSpline, float]:
     """Return one order on ever finer grids, as a spline, and its relative error."""
-    _, half, fine = grids
-    coarsest, coarser, finer = found
     places = (fine.y_mm, fine.x_mm)
-    step = 2.0**USUAL_RATE - 1.0
-    change = (finer[::2, ::2] - coarser) / step
+    change = (finer[::2, ::2] - coarser) / (2.0**USUAL_RATE - 1.0)
     limit = finer + RectBivariateSpline(half.y_mm, half.x_mm, change)(*places)
-    before = coarser[::2, ::2] + (coarser[::2, ::2] - coarsest) / step
-    between = RectBivariateSpline(half.y_mm, half.x_mm, limit[::2, ::2])(*places)
-    error = relative_error(before, limit[::4, ::4]) / step + 0.25 * relative_error(between, limit)
+    between = RectBivariateSpline(half.y_mm, half.x_mm, finer[::2, ::2])(*places)
+    error = 0.5 * relative_error(finer, limit) + 0.25 * relative_error(between, finer)
     return RectBivariateSpline(*places, limit), error
 
 
-def _finest(medium: Medium, tank: Tank, beam: Beam, orders: int) -> Resolution:
-    """Return twice the cells guessed for the finest tolerance, as far as they are affordable."""
+def _finest(medium: Medium, tank: Tank, beam: Beam, orders: int) -> Grid:
+    """Return twice the grid guessed for the finest tolerance, as far as it is affordable."""
     wanted = guess(medium, tank, beam, FINEST)
     n_theta = max(LEAST_DIRECTIONS, wanted.n_theta, 2 * resolvable(medium.g))
     cells = 4.0 * wanted.cells_x * wanted.cells_y
     share = min(1.0, MOST_RADIANCES / (cells * n_theta * (orders - 1))) ** 0.5
-    return wanted.refined(2.0 * share, n_theta / wanted.n_theta)
+    return Grid(
+        tank=tank,
+        n_x=max(8, 4 * round(0.5 * wanted.cells_x * share)) + 1,
+        n_y=max(8, 4 * round(0.5 * wanted.cells_y * share)) + 1,
+        n_theta=n_theta,
+    )
 
 
 def _thinned(grid: Grid) -> tuple[int, Grid]:
@@ -151,9 +147,9 @@ def _thinned(grid: Grid) -> tuple[int, Grid]:
     )
 
 
-def _second(medium: Medium, beam: Beam, grid: Grid) -> Array:
-    found = second_at(medium, beam, grid, grid.x_mm, grid.y_mm, SECOND_POINTS)
-    return np.asarray(medium.sigma_s_per_mm * found)
+def _second(medium: Medium, beam: Beam, grid: Grid, n_theta: int) -> Array:
+    summed = second_fluence(medium, beam, grid, equal_angles(n_theta))
+    return np.asarray(medium.sigma_s_per_mm * summed)
 
 
 def _means(spline: RectBivariateSpline, y_mm: Array, x_mm: Array) -> Array:

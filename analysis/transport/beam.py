@@ -17,11 +17,6 @@ from analysis.light_field import Grid
 from analysis.medium import Beam, Tank
 from analysis.phase_function import Array
 
-Ray = tuple[float, float, float, float, float, float]
-F2, F3, F4, F5, F6, F7, F8, F9, F10, F11, F12 = (1.0 / math.factorial(n) for n in range(2, 13))
-THIN = 0.02  # optical depth
-Strip = tuple[float, float, float, float]  # from, to (mm) and the irradiance at either
-
 
 def ballistic_fluence(
     x_mm: Array, y_mm: Array, *, sigma_t_per_mm: float, beam: Beam
@@ -55,7 +50,8 @@ def second_bounce(
     """
     places = places_of(grid, lines_of_x=lines_of_x)
     out = np.zeros((theta_rad.size, places[0].size, places[1].size))
-    beam_integrals(places, theta_rad, beam, grid.tank, sigma_t_per_mm, out)
+    for n, theta in enumerate(theta_rad):
+        beam_integral(places, float(theta), beam, grid.tank, sigma_t_per_mm, out[n])
     out *= weight[:, None, None]
     return out
 
@@ -71,21 +67,20 @@ def places_of(grid: Grid, *, lines_of_x: bool = False) -> tuple[Array, Array, Ar
     return np.zeros(grid.n_y), x, y, np.zeros(grid.n_x)
 
 
-def beam_integrals(
+def beam_integral(
     places: tuple[Array, Array, Array, Array],
-    theta_rad: Array,
+    theta_rad: float,
     beam: Beam,
     tank: Tank,
     sigma_t_per_mm: float,
     out: Array,
 ) -> None:
-    """Add the integral of exp(-sigma_t s) L_1 backwards along rays to ``out``.
+    """Add the integral of exp(-sigma_t s) L_1 backwards along rays of one direction to ``out``.
 
     Parameters
     ----------
     places : see `places_of`
-    theta_rad : (n,), directions
-    out : (n, n_lines, n_nodes), mm
+    out : (n_lines, n_nodes), mm
 
     Notes
     -----
@@ -93,31 +88,54 @@ def beam_integrals(
     function. It is counted from the brighter end, with base + rate s and tau = abs(rate) length
     there: the other end may underflow where the beam is grazing.
     """
-    slant_rad = math.radians(beam.angle_deg)
-    slant = (math.cos(slant_rad), math.tan(slant_rad))
-    profile = np.stack(beam.profile_points(), axis=1)
-    walls = (tank.depth_mm, tank.width_mm)
-    directions = zip(np.cos(theta_rad).tolist(), np.sin(theta_rad).tolist(), out, strict=True)
-    for cos_t, sin_t, one in directions:
-        ray = describe_ray(cos_t, sin_t, slant, sigma_t_per_mm)
-        _add_strips(*places, ray, walls, profile, one)
+    heights, irradiance = beam.profile_points()
+    ray = _describe_ray(theta_rad, math.radians(beam.angle_deg), sigma_t_per_mm)
+    dimming, tau, bright, dark = np.empty((4, *out.shape))
+    for k in range(heights.size - 1):
+        strip = (heights[k], heights[k + 1], irradiance[k], irradiance[k + 1])
+        _cut_rays(*places, ray, (tank.depth_mm, tank.width_mm), strip, dimming, tau, bright, dark)
+        _integrate(dimming, tau, bright, dark if strip[2] != strip[3] else None)
+        out += bright
 
 
-@njit(cache=True, nogil=True)
-def describe_ray(
-    cos_t: float, sin_t: float, slant: tuple[float, float], sigma_t_per_mm: float
-) -> Ray:
-    """Return what the rays of one direction share; ``slant`` is cosine and tangent of the beam's.
+def _integrate(dimming: Array, tau: Array, bright: Array, dark: Array | None) -> None:
+    """Turn ``bright`` into exp(-dimming) times the integral of exp(-tau t) over 0 .. 1.
 
-    1/cos and 1/sin of the direction (1e300 along an axis); the beam's slope; by how much the
+    With what rises linearly from ``bright`` to ``dark`` as a factor; without ``dark`` it stays.
+    """
+    thin = np.flatnonzero(tau.ravel() < 0.02)
+    few = tau.ravel()[thin]
+    np.exp(np.negative(dimming, out=dimming), out=dimming)
+    left = np.exp(-tau)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        e0 = (1.0 - left) / tau
+        # The closed forms lose their digits where tau is small; the series is exact to 1e-12.
+        e0.ravel()[thin] = 1 - few * (1 / 2 - few * (1 / 6 - few * (1 / 24 - few / 120)))
+        if dark is None:
+            bright *= e0
+        else:
+            e1 = (e0 - left) / tau
+            e1.ravel()[thin] = 1 / 2 - few * (1 / 3 - few * (1 / 8 - few * (1 / 30 - few / 144)))
+            bright *= e0 - e1
+            bright += dark * e1
+    bright *= dimming
+
+
+def _describe_ray(
+    theta_rad: float, slant_rad: float, sigma_t_per_mm: float
+) -> tuple[float, float, float, float, float, float]:
+    """Return what the rays of one direction share.
+
+    1/cos and 1/sin of the direction (infinite along an axis); the beam's slope; by how much the
     height of entry falls per mm back along the ray; the beam's extinction per mm of depth, and
     that of ray and beam together per mm back along the ray.
     """
-    cos_0, slope = slant
+    cos_t, sin_t = math.cos(theta_rad), math.sin(theta_rad)
+    cos_0, slope = math.cos(slant_rad), math.tan(slant_rad)
     drift = sin_t - cos_t * slope
     return (
-        1.0 / cos_t if cos_t else 1e300,
-        1.0 / sin_t if sin_t else 1e300,
+        1.0 / cos_t if cos_t else math.inf,
+        1.0 / sin_t if sin_t else math.inf,
         slope,
         drift if abs(drift) > 1e-14 else 0.0,
         sigma_t_per_mm / cos_0,
@@ -126,55 +144,24 @@ def describe_ray(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _add_strips(
+def _cut_rays(
     x_line: Array,
     x_node: Array,
     y_line: Array,
     y_node: Array,
-    ray: Ray,
+    ray: tuple[float, float, float, float, float, float],
     tank: tuple[float, float],
-    profile: Array,
-    out: Array,
+    strip: tuple[float, float, float, float],
+    dimming: Array,
+    tau: Array,
+    bright: Array,
+    dark: Array,
 ) -> None:
-    """Add one direction's integral over every linear piece of the profile (n, 2) to ``out``."""
-    for k in range(profile.shape[0] - 1):
-        strip = (profile[k, 0], profile[k + 1, 0], profile[k, 1], profile[k + 1, 1])
-        for p in range(np.uint64(out.shape[0])):
-            for q in range(np.uint64(out.shape[1])):
-                x, y = x_line[p] + x_node[q], y_line[p] + y_node[q]
-                dimming, tau, bright, dark = cut_ray(x, y, ray, tank, strip)
-                left = fading(tau)
-                e1 = 0.5 - tau * (1 / 3 - tau * (1 / 8 - tau * (1 / 30 - tau / 144)))
-                # The closed forms lose their digits where tau is small; the series does not.
-                e0 = 1.0 - tau * (1 / 2 - tau * (1 / 6 - tau * (1 / 24 - tau / 120)))
-                thick = tau if tau > THIN else 1.0
-                e0 = (1.0 - left) / thick if tau > THIN else e0
-                e1 = (e0 - left) / thick if tau > THIN else e1
-                out[p, q] += fading(dimming) * (bright * (e0 - e1) + dark * e1)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def fading(tau: float) -> float:
-    """Return exp(-tau) for tau >= 0 to rounding, as a loop on the vector unit can."""
-    power = -tau * math.log2(math.e)
-    power = power if power > -1021.0 else -1021.0
-    whole = np.floor(power + 0.5)
-    f = (power - whole) * math.log(2.0)
-    p = f * (F8 + f * (F9 + f * (F10 + f * (F11 + f * F12))))
-    p = 1.0 + f * (1.0 + f * (F2 + f * (F3 + f * (F4 + f * (F5 + f * (F6 + f * (F7 + p)))))))
-    scale = np.int64((np.int64(whole) + np.int64(1023)) << np.int64(52)).view(np.float64)
-    found: float = p * scale
-    return found
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def cut_ray(
-    x: float, y: float, ray: Ray, tank: tuple[float, float], strip: Strip
-) -> tuple[float, float, float, float]:
-    """Find the piece of the ray that arrives at a point which lies in one strip of the beam.
+    """Find the piece of each ray that lies in one strip of the beam, for `beam_integral`.
 
     Its ends have the optical depths ``dimming`` and dimming + ``tau``; ``bright`` and ``dark``
-    are the irradiance that entered there times the piece's length, zero for a ray that misses.
+    are the irradiance that entered there times the piece's length, zero for a ray that misses
+    (whose tau is one, no special case later on).
     """
     inverse_cos, inverse_sin, slope, drift, beam_rate, rate = ray
     low, high, at_low, at_high = strip
@@ -182,27 +169,25 @@ def cut_ray(
     wall_x = 0.0 if inverse_cos > 0.0 else tank[0]
     wall_y = 0.0 if inverse_sin > 0.0 else tank[1]
     per_entry = 1.0 / drift if drift != 0.0 else 0.0
-    far_x = (x - wall_x) * inverse_cos
-    far_y = (y - wall_y) * inverse_sin
-    far = far_x if far_x < far_y else far_y
-    entry = y - x * slope
-    along, inside = drift == 0.0, low <= entry <= high
-    s_low = (-1e300 if inside else 0.0) if along else (entry - low) * per_entry
-    s_high = (1e300 if inside else 0.0) if along else (entry - high) * per_entry
-    # A ray along the strip's edge sees the mean of both sides.
-    share = 0.5 if along and (entry - low) * (entry - high) == 0.0 else 1.0
-    first, last = (s_low, s_high) if s_low < s_high else (s_high, s_low)
-    # Comparisons in place of min and max, which keep a loop off the vector unit.
-    begin = first if first > 0.0 else 0.0
-    end = last if last < far else far
-    end = end if end > begin else begin
-    span = end - begin
-    near, deep = (begin, end) if rate >= 0.0 else (end, begin)
-    bright = at_low + rise * (entry - drift * near - low)
-    dark = at_low + rise * (entry - drift * deep - low)
-    return (
-        beam_rate * x + rate * near,
-        abs(rate) * span,
-        share * span * (bright if bright > 0.0 else 0.0),
-        share * span * (dark if dark > 0.0 else 0.0),
-    )
+    for p in range(dimming.shape[0]):
+        for q in range(dimming.shape[1]):
+            x, y = x_line[p] + x_node[q], y_line[p] + y_node[q]
+            far_x = (x - wall_x) * inverse_cos if inverse_cos != math.inf else 1e300
+            far_y = (y - wall_y) * inverse_sin if inverse_sin != math.inf else 1e300
+            entry = y - x * slope
+            share = 1.0
+            if drift != 0.0:
+                s_low, s_high = (entry - low) * per_entry, (entry - high) * per_entry
+            else:
+                s_low, s_high = (-1e300, 1e300) if low <= entry <= high else (0.0, 0.0)
+                # A ray along the strip's edge sees the mean of both sides.
+                if min(abs(entry - low), abs(entry - high)) == 0.0:
+                    share = 0.5
+            begin = max(0.0, min(s_low, s_high))
+            end = max(begin, min(far_x, far_y, max(s_low, s_high)))
+            span = end - begin
+            near, deep = (begin, end) if rate >= 0.0 else (end, begin)
+            dimming[p, q] = beam_rate * x + rate * near
+            tau[p, q] = abs(rate) * span if span > 0.0 else 1.0
+            bright[p, q] = share * span * max(at_low + rise * (entry - drift * near - low), 0.0)
+            dark[p, q] = share * span * max(at_low + rise * (entry - drift * deep - low), 0.0)

@@ -14,6 +14,7 @@ from analysis.phase_function import Array
 from analysis.transport.beam import ballistic_fluence
 from analysis.transport.choose import (
     MARGIN,
+    SECOND_RATE,
     Resolution,
     Wanted,
     refuse_too_large,
@@ -27,7 +28,6 @@ from analysis.transport.plane import DepthField, PlaneGrid, solve_plane
 
 PLANE_START = 64  # nodes and directions tried first
 PLANE_ATTEMPTS = 6
-DEPTH_RATE = 1.6  # power of nodes and directions that the error falls with
 SAMPLED_CELLS = 100  # along the longer side
 SAMPLED_ANGLES = 64
 MOST_PATHS = 2_000_000_000
@@ -64,7 +64,7 @@ def solve_in_depth(
         if before is not None:
             pairs = zip(before, found.fluence, strict=True)
             error = np.array([MARGIN * relative_error(one, other) for one, other in pairs])
-            error /= 2.0**DEPTH_RATE - 1.0
+            error /= 2.0**SECOND_RATE - 1.0
             if error.max() <= wanted.tolerance:
                 return _along_the_face(medium, beam, grid, found, error)
         n, before = 2 * n, found.fluence
@@ -167,6 +167,6 @@ def solve_exhaustively(medium: Medium, tank: Tank, beam: Beam, *, orders: int) -
         )
         for times in (1, 2)
     )
-    error = relative_errors(coarse.fluence, fine.fluence[:, ::2, ::2])
+    error = relative_errors(coarse.fluence, fine.fluence)
     error[0] = 0.0
     return replace(fine, error_estimate=MARGIN * error)

@@ -18,7 +18,7 @@ from analysis.errors import AnalysisError
 from analysis.light_field import BounceField, Grid
 from analysis.medium import Beam, Medium
 from analysis.phase_function import UNRESOLVED, Array, phase_function, scattering_moments
-from analysis.transport.beam import ballistic_fluence, beam_integrals, places_of, second_bounce
+from analysis.transport.beam import ballistic_fluence, beam_integral, places_of, second_bounce
 from analysis.transport.blas import BLAS
 from analysis.transport.sweep import add_turned, sweep, turn
 
@@ -62,7 +62,8 @@ class Part:
             weight=phase_function(angle, medium.g, medium.phase),
             lines_of_x=self.of_x,
         )
-        moments = self.to_moments @ self._flat()
+        with BLAS.limit(limits=1):
+            moments = self.to_moments @ self._flat()
         return np.asarray(moments).reshape(-1, *self.radiance.shape[1:])
 
     def scatter(self, moments: Array, sigma_t_per_mm: float, grid: Grid) -> Array:
@@ -79,22 +80,23 @@ class Part:
         if not self.of_x:
             cos_t, sin_t, pitch = sin_t, cos_t, pitch[::-1]
         buffer = np.empty((BLOCK, flat.shape[1]), dtype=flat.dtype)
-        for first in range(0, self.index.size, BLOCK):
-            some = slice(first, min(first + BLOCK, self.index.size))
-            source = buffer[: some.stop - first]
-            np.matmul(self.to_source[some], flat, out=source)
-            # What the moments left out may show as a trace of negative light.
-            np.maximum(source, 0.0, out=source)
-            radiance = self.radiance[some]
-            sweep(
-                source.reshape(-1, *shape),
-                cos_t[some],
-                sin_t[some],
-                pitch,
-                sigma_t_per_mm,
-                radiance,
-            )
-            out += self.to_moments[:, some] @ self._flat()[some]
+        with BLAS.limit(limits=1):
+            for first in range(0, self.index.size, BLOCK):
+                some = slice(first, min(first + BLOCK, self.index.size))
+                source = buffer[: some.stop - first]
+                np.matmul(self.to_source[some], flat, out=source)
+                # What the moments left out may show as a trace of negative light.
+                np.maximum(source, 0.0, out=source)
+                radiance = self.radiance[some]
+                sweep(
+                    source.reshape(-1, *shape),
+                    cos_t[some],
+                    sin_t[some],
+                    pitch,
+                    sigma_t_per_mm,
+                    radiance,
+                )
+                out += self.to_moments[:, some] @ self._flat()[some]
         return out.reshape(-1, *shape)
 
     def _flat(self) -> Array:
@@ -200,8 +202,7 @@ def march(
         )
         raise AnalysisError(msg)
     parts = _parts(medium, grid, dtype)
-    with BLAS.limit(limits=1):
-        moments = _together([part.light_from(medium, beam, grid) for part in parts])
+    moments = _together([part.light_from(medium, beam, grid) for part in parts])
     log_scale = 0.0
     for k in range(2, n_bounces + 1):
         fluence = moments[0].copy()
@@ -212,9 +213,7 @@ def march(
         if brightest > 0.0:
             log_scale += math.log(brightest)
             moments /= brightest
-        with BLAS.limit(limits=1):
-            scattered = [part.scatter(moments, medium.sigma_t_per_mm, grid) for part in parts]
-        moments = _together(scattered)
+        moments = _together([part.scatter(moments, medium.sigma_t_per_mm, grid) for part in parts])
 
 
 def second_fluence(medium: Medium, beam: Beam, grid: Grid, theta_rad: Array) -> Array:
@@ -225,11 +224,12 @@ def second_fluence(medium: Medium, beam: Beam, grid: Grid, theta_rad: Array) -> 
     beam = beam.entering(grid.tank)
     weight = phase_function(theta_rad - math.radians(beam.angle_deg), medium.g, medium.phase)
     places, total = places_of(grid), np.zeros((grid.n_y, grid.n_x))
-    for first in range(0, theta_rad.size, BLOCK):
-        some = slice(first, first + BLOCK)
-        lit = np.zeros((theta_rad[some].size, *total.shape))
-        beam_integrals(places, theta_rad[some], beam, grid.tank, medium.sigma_t_per_mm, lit)
-        total += np.tensordot(weight[some], lit, axes=1)
+    one = np.empty_like(total)
+    for theta, factor in zip(theta_rad, weight, strict=True):
+        one[:] = 0.0
+        beam_integral(places, float(theta), beam, grid.tank, medium.sigma_t_per_mm, one)
+        one *= factor
+        total += one
     return total * (2.0 * np.pi / theta_rad.size)
 
 

@@ -13,7 +13,6 @@ from analysis.errors import AnalysisError
 from analysis.light_field import BounceField
 from analysis.medium import Beam, Medium, Tank
 from analysis.transport.choose import (
-    RATE_S,
     Resolution,
     Wanted,
     field_bytes,
@@ -65,8 +64,6 @@ def solve(
     engine: Engine = "auto",
     light_field: bool = True,
     memory_bytes: float = math.inf,
-    limit_s: float = math.inf,
-    rate_s: float = RATE_S,
     progress: Callable[[int, int], None] | None = None,
 ) -> BounceField:
     """Return bounces 1 .. orders, with a relative rms error of each below the tolerance.
@@ -81,8 +78,6 @@ def solve(
         "exhaustive" is the paper's recursion, whose error is stated but not to be chosen
     light_field : whether radiance is wanted too
     memory_bytes : what is at hand; more is refused
-    limit_s, rate_s : processor time that ordinates may take, and that of one radiance: a grid
-        predicted to take longer is refused before it is solved
     progress : called with (batches done, batches in all) by the Monte Carlo
 
     Raises
@@ -109,12 +104,7 @@ def solve(
     if choice.engine == "exhaustive":
         return solve_exhaustively(medium, tank, beam, orders=n)
     wanted = Wanted(
-        orders=n,
-        tolerance=tolerance,
-        light_field=light_field,
-        memory_bytes=memory_bytes,
-        limit_s=limit_s,
-        rate_s=rate_s,
+        orders=n, tolerance=tolerance, light_field=light_field, memory_bytes=memory_bytes
     )
     if choice.engine == "plane":
         return solve_in_depth(medium, tank, beam, choice.resolution, wanted)

@@ -12,7 +12,6 @@ from rich.table import Table
 import labrig
 from analysis.light_field import Grid
 from labrig.cli.say import AsJson, bars, one, out_console, say, say_json
-from labrig.costs import LIMIT_S
 
 if TYPE_CHECKING:
     from labrig.solving import Cost, Solved
@@ -35,9 +34,6 @@ def solve(
     ] = None,
     tolerance: Annotated[float, typer.Option(help="Relative rms error of each bounce.")] = 1e-3,
     engine: Annotated[EngineName, typer.Option(help="Method.")] = EngineName.auto,
-    limit_s: Annotated[
-        float, typer.Option(help="CPU seconds; what is predicted to take more is refused.")
-    ] = LIMIT_S,
     out: Annotated[Path | None, typer.Option("--out", help="NetCDF file to write.")] = None,
     explain: Annotated[
         bool, typer.Option("--explain", help="Say what it would cost; solve nothing.")
@@ -57,7 +53,6 @@ def solve(
             tolerance=tolerance,
             engine=engine.value,
             light_field=out is not None,
-            limit_s=limit_s,
             progress=one(follow, "paths"),
         )
     if out is not None:

@@ -7,62 +7,25 @@ from analysis import separation, separation_kernels
 from analysis.light_field import Grid
 from analysis.medium import Medium, Tank
 from analysis.transport import beam as beam_kernels
-from analysis.transport import montecarlo, montecarlo_kernels, plane, second, sweep
+from analysis.transport import montecarlo, montecarlo_kernels, plane, sweep
 from calibration import hdr
 
 TANK = Tank(depth_mm=5.0, width_mm=4.0)
 GRID = Grid(tank=TANK, n_x=6, n_y=5, n_theta=8)
 
 
-PROFILE = np.array([[1.0, 0.5], [2.5, 1.0], [3.0, 0.2]])
-SLANT = (np.cos(0.3), np.sin(0.3), np.tan(0.3))
-
-
 @pytest.mark.parametrize("theta", [0.3, 1.9, 3.5, 5.9])
-def test_strips_of_the_beam(theta, monkeypatch):
-    """Both orders of lines, rays that miss, and one along the beam."""
-    ray = beam_kernels.describe_ray(np.cos(theta), np.sin(theta), SLANT[::2], 0.7)
-    results = [np.zeros((5, 6)) for _ in range(2)]
-    given = (*beam_kernels.places_of(GRID), ray, (5.0, 4.0), PROFILE)
-    beam_kernels._add_strips(*given, results[0])
-    for name in ("cut_ray", "fading"):
-        monkeypatch.setattr(beam_kernels, name, getattr(beam_kernels, name).py_func)
-    beam_kernels._add_strips.py_func(*given, results[1])
+def test_cut_rays(theta):
+    """Both orders of lines, and rays that miss."""
+    ray = beam_kernels._describe_ray(theta, 0.3, 0.7)
+    results = []
+    for kernel in (beam_kernels._cut_rays, beam_kernels._cut_rays.py_func):
+        found = np.empty((4, 5, 6))
+        kernel(*beam_kernels.places_of(GRID), ray, (5.0, 4.0), (1.0, 2.5, 0.5, 1.0), *found)
+        results.append(found)
     # measured equal to the bit
-    np.testing.assert_allclose(*results, atol=1e-14)
-    assert (results[0] == 0.0).any()
-
-
-def test_fading_is_the_exponential():
-    tau = np.concatenate([[0.0], np.geomspace(1e-12, 700.0, 2000)])
-    found = [beam_kernels.fading(one) for one in tau]
-    # measured worst 4e-14, at 700: the argument's own rounding
-    np.testing.assert_allclose(found, np.exp(-tau), rtol=2e-13)
-    assert beam_kernels.fading(1e5) < 1e-300
-
-
-@pytest.mark.parametrize(("g", "paper"), [(0.4, False), (-0.7, True)])
-def test_sum_between_kinks(g, paper, monkeypatch):
-    kinks = np.array([[0.0, 0.0], [5.0, 0.0], [0.0, 4.0], [5.0, 4.0], [0.0, 1.0], [0.0, 3.0]])
-    given = (
-        np.array([0.0, 1.3, 5.0]),
-        np.array([0.0, 2.1]),
-        (5.0, 4.0),
-        (0.7, g),
-        SLANT,
-        paper,
-        PROFILE,
-        kinks,
-        np.array([0.3]),
-        np.array([[0.2, 0.5], [0.8, 0.5]]),
-    )
-    fast, slow = np.empty((2, 3)), np.empty((2, 3))
-    second._sum_between_kinks(*given, fast)
-    for name in ("_light",):
-        monkeypatch.setattr(second, name, getattr(second, name).py_func)
-    second._sum_between_kinks.py_func(*given, slow)
-    np.testing.assert_allclose(fast, slow, rtol=1e-12)
-    assert (fast > 0.0).all()
+    np.testing.assert_allclose(results[0], results[1], atol=1e-14)
+    assert (results[0][2] == 0.0).any()
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])

@@ -1,7 +1,6 @@
 """The front door of transport: what it refuses, how many bounces it takes, and its engines."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,9 +8,7 @@ import pytest
 from analysis.errors import AnalysisError
 from analysis.light_field import Grid
 from analysis.medium import Beam, Medium, Tank
-from analysis.transport import refine
 from analysis.transport.ordinates import solve_on
-from analysis.transport.series import MAX_ORDERS, orders_needed
 from analysis.transport.solve import solve
 
 TANK, BEAM = Tank(depth_mm=10.0, width_mm=10.0), Beam(from_mm=3.0, to_mm=7.0)
@@ -65,19 +62,6 @@ def test_a_diverging_series_names_what_converges():
         solve(medium, tank, beam, tolerance=5e-2, light_field=False)
     least = float(str(caught.value).split("below sigma_s = ")[1].split(" ")[0])
     assert 0.0 < least < 0.19
-    # the ratio of orders is found to 1e-4 on the coarse grid: just below its limit it is below one
-    below = replace(medium, sigma_s_per_mm=0.95 * least)
-    assert 50 < orders_needed(below, tank, beam, 5e-2) <= MAX_ORDERS
-    with pytest.raises(AnalysisError, match="diverges"):
-        orders_needed(replace(medium, sigma_s_per_mm=1.01 * least), tank, beam, 5e-2)
-
-
-def test_a_time_that_is_not_allowed_is_refused_before_anything_is_solved(monkeypatch):
-    monkeypatch.setattr(refine, "solve_on", None)
-    medium = replace(MEDIUM, g=0.99)
-    with pytest.raises(AnalysisError, match=r"CPU s are predicted and 0.01 s allowed") as caught:
-        solve(medium, TANK, BEAM, orders=5, tolerance=1e-3, limit_s=0.01)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("engine", ["montecarlo", "exhaustive"])

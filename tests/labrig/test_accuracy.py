@@ -25,6 +25,8 @@ def toy(monkeypatch):
     monkeypatch.setattr(accuracy, "EXHAUSTIVE_CELLS", (8, 16))
     monkeypatch.setattr(truth, "FINEST", 1e-2)
     monkeypatch.setattr(truth, "LEAST_DIRECTIONS", 96)
+    monkeypatch.setattr(truth, "SECOND_DIRECTIONS", 512)
+    monkeypatch.setattr(truth, "CELL_DIRECTIONS", 128)
 
 
 def test_the_command_writes_table_and_figure_and_judges_every_choice(

@@ -10,7 +10,7 @@ from scipy.special import k0, k1
 from analysis.light_field import Grid
 from analysis.medium import Beam, Medium, Tank
 from analysis.phase_function import phase_function
-from analysis.transport.beam import beam_integrals, second_bounce
+from analysis.transport.beam import beam_integral, second_bounce
 from analysis.transport.ordinates import solve_on
 
 WIDE = Tank(depth_mm=60.0, width_mm=400.0)
@@ -20,9 +20,11 @@ MIDDLE = 200.0
 
 def strip(x: float, theta: float, beam: Beam = FULL, tank: Tank = WIDE, y: float = MIDDLE) -> float:
     """The closed form at one point and direction, sigma_t = 1 / mm."""
-    out, place = np.zeros((1, 1, 1)), (np.array([x]), np.zeros(1), np.array([y]), np.zeros(1))
-    beam_integrals(place, np.array([theta]), beam, tank, 1.0, out)
-    return float(out[0, 0, 0])
+    out = np.zeros((1, 1))
+    beam_integral(
+        (np.array([x]), np.zeros(1), np.array([y]), np.zeros(1)), theta, beam, tank, 1.0, out
+    )
+    return float(out[0, 0])
 
 
 @pytest.mark.parametrize("tau", [0.01, 0.3146631336, 1.0, 5.0])
