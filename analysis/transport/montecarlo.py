@@ -279,7 +279,7 @@ class _Batch:
             (self._n_done, n_paths),
             self._rng,
             self._shift,
-            _lattice(N_LATTICE),
+            lattice_steps(N_LATTICE),
             self._wavenumber,
             self._harmonics,
             self.scores,
