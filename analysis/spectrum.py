@@ -30,6 +30,7 @@ LARGEST_KEPT = 1.1  # more than all of the third harmonic: no blurred square wav
 CONTRAST_ERROR = 2e-3  # of c1, relative: what a blur that is not Gaussian does to it
 MIN_PERIODS = 3.0  # of the stripes within the beam
 NEAR_SHARE = 0.25  # of the brightest: how deep the stripes' wavenumber is measured
+STRIPED = 0.5  # of the brightest wave: weaker ones are no stripes
 OVERSAMPLED = 16  # steps of wavenumber searched, within the resolution of the picture's height
 
 
@@ -292,11 +293,12 @@ def _wavenumber(z: ComplexArray, y_mm: Array, pixel_mm: float) -> float:
     frequency = np.fft.fftfreq(n, pixel_mm)
     # White light seen through unequal shifts stands at zero; stripes do not.
     lit = np.sum(np.abs(z).mean(axis=1) > 0.3 * np.abs(z).mean(axis=1).max()) * pixel_mm
+    brightest = float(spectrum.max())
     spectrum[np.abs(frequency) * lit < MIN_PERIODS] = 0.0
     k = int(np.argmax(spectrum))
     left, peak, right = spectrum[k - 1], spectrum[k], spectrum[(k + 1) % n]
     bend = left - 2.0 * peak + right
-    if not peak > 0.0 or not bend < 0.0:
+    if not peak > STRIPED * brightest or not bend < 0.0:
         msg = (
             f"no stripes are seen within the beam: fewer than {MIN_PERIODS:g} periods, or none at "
             "all; show finer stripes."

@@ -254,25 +254,6 @@ def _draw_runs(panel: Axes, runs: list[Run], look: str, **looks: Any) -> None:
         panel.plot([run.cpu_s for run in runs], [run.error for run in runs], look, **looks)
 
 
-FIGURES: dict[str, tuple[Draw, str]] = {
-    "separation": (separation_figure, "captured"),
-    "closure": (closure_figure, "closure"),
-    "attenuation": (attenuation_figure, "single_profile"),
-    "bounces": (bounces_figure, "fluence"),
-    "light-field": (light_field_figure, "light_field"),
-    "residual": (residual_figure, "residual"),
-}
-
-
-def all_figures(result: Result) -> dict[str, Figure]:
-    """Return the figures that a result has the fields for, by name, in the paper's order."""
-    return {
-        name: draw(result)
-        for name, (draw, needed) in FIGURES.items()
-        if needed in result.fields or f"{needed}_image" in result.fields
-    }
-
-
 def save(figure: Figure, stem: Path) -> bytes:
     """Write a figure as ``stem.png`` and ``stem.pdf``; return the PNG's bytes."""
     picture = png_bytes(figure)

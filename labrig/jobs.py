@@ -95,14 +95,14 @@ def resolve(path: Path, *, tolerance: float) -> Bounces:
 
 def export(path: Path, out: Path, *, kinds: tuple[str, ...] = DEFAULT_KINDS) -> list[Path]:
     """Write figures (png, pdf), curves and numbers (csv), fields (nc) and the report; list them."""
-    from labrig import figures  # noqa: PLC0415 - matplotlib takes a second to load
+    from labrig import figure_set, figures  # noqa: PLC0415 - matplotlib takes a second to load
 
     result = read_results(path)
     written: list[Path] = []
     try:
         out.mkdir(parents=True, exist_ok=True)
         if {"png", "pdf"} & set(kinds):
-            for name, figure in figures.all_figures(result).items():
+            for name, figure in figure_set.all_figures(result).items():
                 figures.save(figure, out / name)
                 for kind in ("png", "pdf"):
                     file = out / f"{name}.{kind}"

@@ -11,12 +11,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from labrig import figures
 from labrig.errors import RunError
+from labrig.figure_set import all_figures
 from labrig.results import Result
-from labrig.views import length_unit, with_std
+from labrig.views import along_beam, length_unit, with_std
 
 UNKNOWN = "—"
 
@@ -55,6 +57,8 @@ class Plate:
     png: str
 
 
+SLIDER_FAINTEST = 3e-3  # of the brightest: deeper light is not drawn beside the slider
+SLIDER_POINTS = 120
 CAPTIONS = {
     "separation": (
         "Single and multiple scattering",
@@ -73,6 +77,13 @@ CAPTIONS = {
         "Light against depth with the exponential fitted to it over the shaded depths, and the "
         "residual relative to the fit. Light without separation bends away from an exponential, "
         "for it holds multiple scattering; single scattering should leave no trend.",
+    ),
+    "stripes": (
+        "Stripes and white light together",
+        "What keeps the stripes, and the white light by waves along the face, with the light of "
+        "the one medium that explains both, all bounces included. The dashed line is the light "
+        "that was scattered once: what lies above it keeps the stripes and is no single "
+        "scattering. Below, what the model leaves, and one std of the camera's noise.",
     ),
     "bounces": (
         "Bounce by bounce",
@@ -112,7 +123,7 @@ def write_report(
     try:
         (folder / "figures").mkdir(parents=True, exist_ok=True)
         plates = []
-        for name, figure in figures.all_figures(result).items():
+        for name, figure in all_figures(result).items():
             png = base64.b64encode(figures.save(figure, folder / "figures" / name)).decode("ascii")
             title, caption = CAPTIONS[name]
             plates.append(Plate(name=name, title=title, caption=caption, png=png))
@@ -149,6 +160,7 @@ def render(result: Result, plates: list[Plate], truth: Mapping[str, float]) -> s
         alternatives=list(_extinctions(run, unit, truth)),
         notes=run.get("notes", []),
         plates=plates,
+        reweighting=_reweighting(result, unit),
         quality=list(quality_rows(run.get("quality", {}), unit)),
         seconds=run.get("seconds", {}),
         result_id=run.get("id", result.path.name),
@@ -161,6 +173,25 @@ def render(result: Result, plates: list[Plate], truth: Mapping[str, float]) -> s
             if value is not None
         },
     )
+
+
+def _reweighting(result: Result, unit: str) -> dict[str, Any] | None:
+    """Return curves of every bounce for the slider of sigma_s; None without bounces."""
+    sigma_s = result.run.get(f"sigma_s_per_{unit}", {}).get("value", 0.0)
+    if "fluence" not in result.fields or not sigma_s > 0.0:
+        return None
+    depth, orders = along_beam(result)
+    total = orders.sum(axis=0)
+    lit = depth <= depth[total >= SLIDER_FAINTEST * total.max()][-1]
+    step = max(1, int(lit.sum()) // SLIDER_POINTS)
+    largest = max(float(result.run[f"sigma_t_per_{unit}"]["value"]), sigma_s)
+    data = {
+        "sigma_s": sigma_s,
+        "top": 2.0 * float(total.max()),
+        "depth": np.round(depth[lit][::step], 4).tolist(),
+        "orders": [[float(f"{v:.4g}") for v in order[lit][::step]] for order in orders],
+    }
+    return {"sigma_s": sigma_s, "largest": largest, "data": data}
 
 
 def _methods(run: Mapping[str, Any], unit: str) -> dict[str, str]:

@@ -16,6 +16,7 @@ def profile_of(value: np.ndarray, std: float, depth: np.ndarray) -> DepthProfile
         std=np.full(depth.size, std),
         n_rows=np.full(depth.size, 100),
         detected_share=np.ones(depth.size),
+        rows=np.full((4, depth.size), np.nan, dtype=np.float32),
     )
 
 

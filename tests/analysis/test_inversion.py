@@ -31,6 +31,8 @@ def attenuation(scale_c: float) -> Attenuation:
         chi2_per_dof=1.0,
         rms_relative=0.0,
         depth_range_mm=(0.0, 20.0),
+        ended_by="asked for",
+        row_std=(0.0, 0.0),
     )
 
 

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import labrig
@@ -70,9 +71,12 @@ def test_fields_carry_the_conventions_of_the_solver(found):
     assert fields["scattered_bounce"].values[0] == 2
     middle = fields["y"].values.searchsorted(37.0)
     assert fields["fluence"].values[0, middle, 0] == 1.0
-    # measured 0.55 %: what keeps the stripes lifts the single scattering just behind the face
+    # measured 0.9 %: separated light holds low orders that keep the stripes, 4 % of it here
     modelled = result.attributes["scale_c"] * fields["fluence"].values[0, middle, 5]
-    assert fields["single"].values[middle, 5] == pytest.approx(modelled, rel=0.02)
+    share = np.interp(
+        fields["x"].values[5], fields["wave_depth"].values, fields["single_share"].values[0]
+    )
+    assert share * fields["single"].values[middle, 5] == pytest.approx(modelled, rel=0.02)
 
 
 def test_the_report_is_one_page_with_truth_and_answer(found):

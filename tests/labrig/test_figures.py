@@ -12,7 +12,7 @@ import pytest
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
-from labrig import figures, views
+from labrig import figure_set, figures, views
 from labrig.results import Field, Result, read_results, write_results
 
 SIGMA_T, SIGMA_S, ANGLE = 0.2, 0.1, 0.0
@@ -117,6 +117,27 @@ def solver_fields(unit: str) -> dict[str, Field]:
     }
 
 
+def waves_of(unit: str) -> dict[str, Field]:
+    depth = np.arange(0.2, 30.0, 0.2)
+    stripe = SCALE_C * np.exp(-SIGMA_T * depth)[None, :]
+    white = stripe * (1.0 + 0.3 * depth) * np.array([[1.0], [0.5]])
+    striped, waved = ("period", "wave_depth"), ("wavenumber", "wave_depth")
+    found = {
+        "wave_depth": axis("wave_depth", depth, unit),
+        "period": axis("period", np.array([1.8]), unit),
+        "wavenumber": axis("wavenumber", np.array([0.0, 0.1]), f"1/{unit}"),
+        "single_share": Field(
+            dims=striped, values=np.full(stripe.shape, 0.9), unit="1", meaning=""
+        ),
+    }
+    for name, dims, values in (("stripe_wave", striped, stripe), ("white_wave", waved, white)):
+        for suffix, factor in (("", 1.001), ("_std", 0.002), ("_fit", 1.0)):
+            found[f"{name}{suffix}"] = Field(
+                dims=dims, values=factor * values, unit="counts/s", meaning=""
+            )
+    return found
+
+
 def run_of(unit: str) -> dict[str, object]:
     fit = {"chi2_per_dof": 1.1, "rms_relative": 0.004, "depth_range": [0.1, 20.0]}
     return {
@@ -127,10 +148,14 @@ def run_of(unit: str) -> dict[str, object]:
         "g": {"value": 0.4, "std": 0.01},
         "length_unit": unit,
         "alternatives": {
+            "separated": {
+                f"sigma_t_per_{unit}": {"value": 0.20476, "std": 0.00031},
+                "scale_c": {"value": SCALE_C, "std": 12.0},
+            },
             "unseparated": {
                 f"sigma_t_per_{unit}": {"value": 0.15, "std": None},
                 "scale_c": {"value": 6e4, "std": None},
-            }
+            },
         },
         "quality": {"attenuation": fit, "attenuation_unseparated": {**fit, "rms_relative": 0.05}},
     }
@@ -141,6 +166,7 @@ def full(tmp_path: Path, unit: str = "mm", angle_rad: float = ANGLE) -> Result:
         **pictures_of(("row", "col"), "_image", unit, PIXEL),
         **profiles_of(unit),
         **solver_fields(unit),
+        **waves_of(unit),
     }
     attributes = {
         "length_unit": unit,
@@ -192,11 +218,11 @@ def paper(tmp_path_factory: pytest.TempPathFactory) -> Result:
 
 @pytest.fixture(scope="module")
 def drawn(milk: Result) -> dict[str, Figure]:
-    return figures.all_figures(milk)
+    return figure_set.all_figures(milk)
 
 
 def test_a_full_run_has_every_figure_with_units_on_its_axes(drawn: dict[str, Figure]) -> None:
-    assert list(drawn) == list(figures.FIGURES)
+    assert list(drawn) == list(figure_set.FIGURES)
     expected = {
         "separation": {"depth x (mm)", "y (mm)", "counts/s, square-root scale"},
         "closure": {
@@ -212,14 +238,14 @@ def test_a_full_run_has_every_figure_with_units_on_its_axes(drawn: dict[str, Fig
 
 
 def test_a_separation_alone_has_its_two_figures_in_px(paper: Result) -> None:
-    found = figures.all_figures(paper)
+    found = figure_set.all_figures(paper)
     assert list(found) == ["separation", "closure"]
     for figure in found.values():
         assert {"depth x (px)", "y (px)"} <= labels_of(figure)
 
 
 def test_figures_of_a_run_in_px_say_px(tmp_path: Path) -> None:
-    found = figures.all_figures(full(tmp_path, unit="px"))
+    found = figure_set.all_figures(full(tmp_path, unit="px"))
     for figure in found.values():
         assert any("(px)" in label for label in labels_of(figure))
         assert not any("mm" in label for label in labels_of(figure))
@@ -260,7 +286,7 @@ def test_pictures_have_the_lit_face_left_and_rows_run_down(
 
 
 def test_no_text_is_cut_off(milk: Result, paper: Result) -> None:
-    for figure in [*figures.all_figures(milk).values(), *figures.all_figures(paper).values()]:
+    for figure in [*figure_set.all_figures(milk).values(), *figure_set.all_figures(paper).values()]:
         figures.png_bytes(figure)
         page = figure.bbox
         for artist in [*figure.axes, *figure.legends]:
@@ -432,7 +458,7 @@ def test_pictures_without_light_are_drawn(paper: Result, value: float) -> None:
     for name in ("captured", "single", "multiple", "closure"):
         dark = np.full(paper.fields[name].values.shape, value, dtype=np.float32)
         paper = replaced(paper, name, dark)
-    for figure in figures.all_figures(paper).values():
+    for figure in figure_set.all_figures(paper).values():
         assert figures.png_bytes(figure).startswith(b"\x89PNG")
 
 

@@ -154,7 +154,7 @@ def test_page_stands_alone_with_its_figures_beside_it(tmp_path: Path) -> None:
 
 
 def test_every_figure_has_a_caption() -> None:
-    from labrig.figures import FIGURES  # noqa: PLC0415 - matplotlib is slow to load
+    from labrig.figure_set import FIGURES  # noqa: PLC0415 - matplotlib is slow to load
 
     assert set(CAPTIONS) == set(FIGURES)
 

@@ -1,0 +1,36 @@
+"""Which figures a result has, in the paper's order."""
+
+from __future__ import annotations
+
+from matplotlib.figure import Figure
+
+from labrig.figures import (
+    Draw,
+    attenuation_figure,
+    bounces_figure,
+    closure_figure,
+    light_field_figure,
+    residual_figure,
+    separation_figure,
+)
+from labrig.figures_inversion import stripes_figure
+from labrig.results import Result
+
+FIGURES: dict[str, tuple[Draw, str]] = {  # and the field that each needs
+    "separation": (separation_figure, "captured"),
+    "closure": (closure_figure, "closure"),
+    "attenuation": (attenuation_figure, "single_profile"),
+    "stripes": (stripes_figure, "stripe_wave"),
+    "bounces": (bounces_figure, "fluence"),
+    "light-field": (light_field_figure, "light_field"),
+    "residual": (residual_figure, "residual"),
+}
+
+
+def all_figures(result: Result) -> dict[str, Figure]:
+    """Return the figures that a result has the fields for, by name."""
+    return {
+        name: draw(result)
+        for name, (draw, needed) in FIGURES.items()
+        if needed in result.fields or f"{needed}_image" in result.fields
+    }
