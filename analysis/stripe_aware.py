@@ -83,7 +83,7 @@ class StripeAware:
     model_covariance : (3, 3), what the model's own error, taken as independent from depth to
         depth, would do to them
     condition : condition number of the scaled normal matrix of (log sigma_t, albedo, g)
-    scale_c : light of the ballistic beam where it enters, times mm across it
+    scale_c, scale_c_std : light of the ballistic beam where it enters, times mm across it
     contrast : (n_periods,), amplitude of the stripes over the white light, c1 as it arrived
     profile : (J,) complex, w^(q_j) / w^(0)
     losses : (J + 1, n_x) complex, what the side walls change of the white waves, per unit of C
@@ -99,6 +99,7 @@ class StripeAware:
     model_covariance: Array
     condition: float
     scale_c: float
+    scale_c_std: float
     contrast: Array
     profile: ComplexArray
     losses: ComplexArray
@@ -433,12 +434,13 @@ def _solve(problem: _Problem, start: Array, *, fixed_g: bool = False) -> Array:
 def _described(problem: _Problem, found: Array) -> StripeAware:
     o, n = problem.o, problem.n_waves
     jacobian = problem.jacobian(found)
-    pull = np.linalg.pinv(jacobian)[:3] * problem.weight
+    pull = np.linalg.pinv(jacobian)[:4] * problem.weight
     medium = problem.medium(found)
     sigma_t = medium.sigma_t_per_mm
     # (sigma_t, sigma_s, g) by (log sigma_t, albedo, g)
     turn = np.array([[sigma_t, 0.0, 0.0], [medium.sigma_s_per_mm, sigma_t, 0.0], [0.0, 0.0, 1.0]])
-    pull = turn @ pull
+    of_scale = float(problem.carried_noise(pull[3:])[0, 0])
+    pull = turn @ pull[:3]
     residual = problem.residual(found)
     scaled = jacobian[:, :3] / np.linalg.norm(jacobian[:, :3], axis=0)
     striped = np.concatenate([o.x_mm[use] for use in problem.striped])
@@ -450,6 +452,7 @@ def _described(problem: _Problem, found: Array) -> StripeAware:
         model_covariance=problem.carried_error(pull),
         condition=float(np.linalg.cond(scaled)),
         scale_c=math.exp(found[3]),
+        scale_c_std=math.exp(found[3]) * math.sqrt(of_scale),
         contrast=np.exp(found[4 + 2 * n :]),
         profile=found[4 : 4 + n] + 1j * found[4 + n : 4 + 2 * n],
         losses=problem.losses,

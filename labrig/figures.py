@@ -194,10 +194,11 @@ def light_field_figure(result: Result) -> Figure:
 @_styled
 def residual_figure(result: Result) -> Figure:
     """Draw multiple scattering as measured, as the bounces explain it, and the rest (Eq. 10)."""
+    multiple, left = (result.fields[name].values for name in ("multiple", "residual"))
     whole = {
-        "(a) multiple, measured": result.fields["multiple"].values,
-        "(b) multiple, model": views.modelled_multiple(result),
-        "(c) residual, (a) − (b)": result.fields["residual"].values,
+        "(a) multiple, measured": multiple,
+        "(b) multiple, Eq. 10": np.where(np.isfinite(left), multiple - left, 0.0),
+        "(c) residual, (a) − (b)": left,
     }
     pictures = [views.on_nodes(result, values) for values in whole.values()]
     lit = views.lit_part(pictures[:2])

@@ -147,7 +147,8 @@ def _joint_parameters(fit: StripeAware, decay: Decay, unit: str) -> dict[str, An
         name: {**_with_std(value, noise[k, k]), "model_std": math.sqrt(model[k, k])}
         for k, (name, value) in enumerate(zip(names, values, strict=True))
     }
-    return {**found, "scale_c": {"value": _scale_c(fit, decay), "std": None}}
+    c = _scale_c(fit, decay)
+    return {**found, "scale_c": {"value": c, "std": c * fit.scale_c_std / fit.scale_c}}
 
 
 def _scale_c(fit: StripeAware, decay: Decay) -> float:

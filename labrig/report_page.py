@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -235,7 +236,8 @@ def parameter_rows(
     sigma_t, sigma_s = f"sigma_t_per_{unit}", f"sigma_s_per_{unit}"
     known, found = dict(truth), dict(run)
     if sigma_t in run and sigma_s in run:
-        found["absorption"] = {"value": run[sigma_t]["value"] - run[sigma_s]["value"], "std": None}
+        absorbed = run[sigma_t]["value"] - run[sigma_s]["value"]
+        found["absorption"] = {"value": absorbed, "std": _absorption_std(run)}
     if sigma_t in truth and sigma_s in truth:
         known["absorption"] = truth[sigma_t] - truth[sigma_s]
     rows = {
@@ -271,6 +273,15 @@ def _off(value: float, true: float, *, relative: bool = True) -> str:
     return f"{value - true:+.2g}".replace("-", "−")
 
 
+def _absorption_std(run: Mapping[str, Any]) -> float | None:
+    """Return the std of sigma_t less sigma_s; None where their covariance is not recorded."""
+    covariance = run.get("quality", {}).get("stripe_aware", {}).get("covariance")
+    if covariance is None:
+        return None
+    (tt, ts, *_), (_, ss, *_), *_ = covariance
+    return math.sqrt(max(tt + ss - 2.0 * ts, 0.0))
+
+
 def remarks(run: Mapping[str, Any], unit: str) -> Iterator[str]:
     """Yield what must be known to read the table: missing and too small standard deviations."""
     quality = run.get("quality", {})
@@ -292,7 +303,7 @@ def remarks(run: Mapping[str, Any], unit: str) -> Iterator[str]:
             else "the noise of the pictures is not known, so none could be carried through the fit"
         )
         yield f"No std of {', '.join(missing)} ({UNKNOWN}): {why}."
-    if f"sigma_s_per_{unit}" in run:
+    if f"sigma_s_per_{unit}" in run and _absorption_std(run) is None:
         yield (
             f"Absorption is a difference; it has no std ({UNKNOWN}), for how its two terms vary "
             "together is not recorded."
@@ -300,8 +311,8 @@ def remarks(run: Mapping[str, Any], unit: str) -> Iterator[str]:
     chi2 = quality.get("attenuation", {}).get("chi2_per_dof")
     if chi2 is not None and chi2 > 2.0:
         yield (
-            f"χ² per degree of freedom is {_chi2(chi2)} in the fit of σₜ: its residuals exceed the "
-            "noise, and the error is larger than the std."
+            f"χ² per degree of freedom is {_chi2(chi2)} in the fit of Eq. 9: its residuals exceed "
+            "the noise, and the error is larger than the std."
         )
 
 

@@ -131,13 +131,6 @@ def bounce_picture(result: Result, bounce: int) -> Picture:
     return on_nodes(result, scale_c(result) * result.fields["fluence"].values[place])
 
 
-def modelled_multiple(result: Result) -> Array:
-    """Return the light of bounces two and up in camera units, (n_y, n_x) (Eq. 10)."""
-    scattered = result.fields["bounce"].values >= 2
-    total = result.fields["fluence"].values[scattered].sum(axis=0)
-    return np.asarray(scale_c(result) * total)
-
-
 def scale_c(result: Result) -> float:
     """Return the factor c that turns fluence into camera units."""
     return float(result.attributes["scale_c"])
