@@ -79,7 +79,8 @@ class StripeAware:
 
     Attributes
     ----------
-    covariance : (3, 3) of (sigma_t, sigma_s, g): camera noise carried through the fit
+    covariance : (3, 3) of (sigma_t, sigma_s, g): camera noise carried through the fit; where that is
+        unknown, the scatter of the residuals
     model_covariance : (3, 3), what the model's own error, taken as independent from depth to
         depth, would do to them
     condition : condition number of the scaled normal matrix of (log sigma_t, albedo, g)
@@ -177,6 +178,7 @@ class _Problem:
         noise = np.sqrt(np.diagonal(self._white_covariance, axis1=1, axis2=2)).T
         total = np.abs(o.white.moment[0])
         floor = MODEL_ERROR * total[self.lit] + FACE_ERROR * np.nanmax(total)
+        self.n_seen = noise.size + sum(int(use.sum()) for use in self.striped)
         std, error = [noise.ravel()], [np.broadcast_to(floor, noise.shape).ravel()]
         for stripe, use in zip(o.stripes, self.striped, strict=True):
             light = stripe.amplitude
@@ -439,16 +441,22 @@ def _described(problem: _Problem, found: Array) -> StripeAware:
     sigma_t = medium.sigma_t_per_mm
     # (sigma_t, sigma_s, g) by (log sigma_t, albedo, g)
     turn = np.array([[sigma_t, 0.0, 0.0], [medium.sigma_s_per_mm, sigma_t, 0.0], [0.0, 0.0, 1.0]])
-    of_scale = float(problem.carried_noise(pull[3:])[0, 0])
-    pull = turn @ pull[:3]
     residual = problem.residual(found)
+    chi2_per_dof = float(residual @ residual) / max(residual.size - found.size, 1)
+    known = bool(problem.noise[: problem.n_seen].all())
+
+    def carried(by: Array) -> Array:
+        return problem.carried_noise(by) if known else chi2_per_dof * problem.carried_error(by)
+
+    of_scale = float(carried(pull[3:])[0, 0])
+    pull = turn @ pull[:3]
     scaled = jacobian[:, :3] / np.linalg.norm(jacobian[:, :3], axis=0)
     striped = np.concatenate([o.x_mm[use] for use in problem.striped])
     lit = o.x_mm[problem.lit]
     white_fit, stripe_fit = problem.light(found)
     return StripeAware(
         medium=medium,
-        covariance=problem.carried_noise(pull),
+        covariance=carried(pull),
         model_covariance=problem.carried_error(pull),
         condition=float(np.linalg.cond(scaled)),
         scale_c=math.exp(found[3]),
@@ -456,7 +464,7 @@ def _described(problem: _Problem, found: Array) -> StripeAware:
         contrast=np.exp(found[4 + 2 * n :]),
         profile=found[4 : 4 + n] + 1j * found[4 + n : 4 + 2 * n],
         losses=problem.losses,
-        chi2_per_dof=float(residual @ residual) / max(residual.size - found.size, 1),
+        chi2_per_dof=chi2_per_dof,
         at_limit=bool(medium.albedo > 1.0 - AT_LIMIT or abs(medium.g) > G_LIMIT - AT_LIMIT),
         depth_range_mm=(float(lit[0]), float(lit[-1])),
         stripe_range_mm=(float(striped.min()), float(striped.max())),

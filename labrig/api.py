@@ -21,7 +21,6 @@ from labrig.models.plan import Plan
 from labrig.models.rig import Rig
 from labrig.models.scene import Scene
 from labrig.models.series import Concentrations
-from labrig.pipeline import Until
 from labrig.results import Result
 from labrig.rig import OpenRig
 from labrig.session import Problem, Session

@@ -41,7 +41,7 @@ def run(
     scene : scene file; else the paper's diluted milk
     progress : called with (what, done, all)
     """
-    from labrig.pipeline import STAGES  # noqa: PLC0415 - loads the solver
+    from labrig.models.analysis import STAGES  # noqa: PLC0415 - loads the solver
 
     folder = config_folder()
     milk = labrig.load_scene(scene or folder / "scenes" / "dilute-milk.yaml")

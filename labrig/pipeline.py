@@ -20,16 +20,6 @@ from labrig.session import Session
 from labrig.steps import attenuate, explain, render_bounces, separate
 
 Until = Literal["separation", "results"]
-STAGES = (
-    "linearise",
-    "rectify",
-    "separate",
-    "attenuate",
-    "stripes",
-    "bounces",
-    "invert",
-    "write",
-)
 
 
 class Stopwatch:

@@ -148,7 +148,7 @@ def _joint_parameters(fit: StripeAware, decay: Decay, unit: str) -> dict[str, An
         for k, (name, value) in enumerate(zip(names, values, strict=True))
     }
     c = _scale_c(fit, decay)
-    return {**found, "scale_c": {"value": c, "std": c * fit.scale_c_std / fit.scale_c}}
+    return {**found, "scale_c": _with_std(c, (c * fit.scale_c_std / fit.scale_c) ** 2)}
 
 
 def _scale_c(fit: StripeAware, decay: Decay) -> float:
@@ -239,7 +239,7 @@ def _joint_quality(fit: StripeAware) -> dict[str, Any]:
         correlation = fit.covariance / np.outer(std, std)
     return {
         "chi2_per_dof": fit.chi2_per_dof,
-        "covariance": fit.covariance.tolist(),
+        "covariance": fit.covariance.tolist() if np.isfinite(fit.covariance).all() else None,
         "correlation": correlation.tolist() if np.isfinite(correlation).all() else None,
         "condition": fit.condition,
         "contrast": fit.contrast.tolist(),

@@ -5,19 +5,19 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
 
 import labrig
-from labrig.accuracy import cost_of_accuracy
-from labrig.accuracy_capture import CaptureCosts, Priced, cost_of_capture, parse_wish
-from labrig.accuracy_capture import write_csv as write_capture_csv
 from labrig.cli.say import AsJson, bars, out_console, say, say_json
 from labrig.config import config_folder
 from labrig.costs import Costs, Run, write_csv
 from labrig.realism import cost_of_realism
+
+if TYPE_CHECKING:
+    from labrig.accuracy_capture import CaptureCosts, Priced
 
 app = typer.Typer(help="What accuracy is reached, and what it costs.", rich_markup_mode=None)
 WITHIN = 1.3  # times its noise that a witness may differ: the noise itself is known to 18 %
@@ -31,6 +31,8 @@ def solver(
     as_json: AsJson = False,
 ) -> None:
     """Measure error and CPU seconds of every method and resolution on a scene."""
+    from labrig.accuracy import cost_of_accuracy  # noqa: PLC0415 - and the solver with it
+
     wanted = labrig.load_scene(scene)
     out.mkdir(parents=True, exist_ok=True)
     with bars() as follow:
@@ -77,9 +79,11 @@ def capture(
     as_json: AsJson = False,
 ) -> None:
     """Predict the uncertainty of a plan's answer, and what a better one would cost."""
-    wanted = dict(parse_wish(text) for text in want or [])
+    from labrig import accuracy_capture  # noqa: PLC0415 - and the solver with it
+
+    wanted = dict(accuracy_capture.parse_wish(text) for text in want or [])
     with bars() as follow:
-        costs = cost_of_capture(
+        costs = accuracy_capture.cost_of_capture(
             labrig.load_plan(plan),
             labrig.load_rig(rig),
             labrig.load_scene(scene),
@@ -88,7 +92,7 @@ def capture(
         )
     out.mkdir(parents=True, exist_ok=True)
     table, stem = out / "capture.csv", out / "capture"
-    write_capture_csv(costs, table)
+    accuracy_capture.write_csv(costs, table)
     from labrig.figures import save  # noqa: PLC0415 - matplotlib takes a second to load
     from labrig.figures_inversion import capture_cost_figure  # noqa: PLC0415
 

@@ -93,12 +93,11 @@ class Helper:
     def stop(self) -> None:
         """End the process; what it was doing is lost."""
         self._then.clear()
-        self._pipe.close()
-        self._process.join(0.5)
-        if self._process.is_alive():
-            self._process.terminate()
-            self._process.join(2.0)
+        self._process.terminate()
+        self._process.join(2.0)
+        # The reader meets the end of the pipe; closed under its hands it would stumble.
         self._reader.join(1.0)
+        self._pipe.close()
 
     def restart(self) -> None:
         """End what the helper does, and begin with a new one."""

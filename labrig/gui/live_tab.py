@@ -204,7 +204,7 @@ class LiveTab(ttk.Frame):
         camera, shown, age_s = self.rates.at(time.monotonic())
         held = "held · " if self.paused.get() else ""
         self.readings[1].configure(
-            text=f"{held}camera {camera:.0f} · shown {shown:.0f} fps · {1e3 * age_s:.0f} ms old · "
+            text=f"{held}cam {camera:.0f} · shown {shown:.0f} fps · {1e3 * age_s:.0f} ms old · "
             f"{dropped} dropped · {100 * self.pane.view.zoom:.0f} %"
         )
 

@@ -9,6 +9,17 @@ from pydantic import Field, model_validator
 from analysis.phase_function import UNRESOLVED
 from labrig.models.base import Model, Positive
 
+STAGES = (
+    "linearise",
+    "rectify",
+    "separate",
+    "attenuate",
+    "stripes",
+    "bounces",
+    "invert",
+    "write",
+)
+
 
 class Analysis(Model):
     """How a session is analysed."""

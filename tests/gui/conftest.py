@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -16,6 +16,20 @@ def display() -> Iterator[Display]:
     running = Display(1600, 1000)
     yield running
     running.stop()
+
+
+@pytest.fixture(scope="session")
+def screens() -> Iterator[Callable[[int, int], Display]]:
+    """More X servers; they outlive every window: Tcl ends a process whose server is gone."""
+    running: list[Display] = []
+
+    def start(width: int, height: int) -> Display:
+        running.append(Display(width, height))
+        return running[-1]
+
+    yield start
+    for one in running:
+        one.stop()
 
 
 @pytest.fixture(scope="module")

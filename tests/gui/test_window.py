@@ -401,8 +401,10 @@ def test_a_second_start_finds_the_window_as_it_was_left(
 
 
 @pytest.mark.parametrize("scale", [1.5, 2.0])
-def test_nothing_is_cut_at_larger_scales(tmp_path: Path, small_rig, small_scene, small_plan, scale):
-    screen = Display(round(1100 * scale), round(680 * scale))
+def test_nothing_is_cut_at_larger_scales(
+    tmp_path: Path, screens, small_rig, small_scene, small_plan, scale
+):
+    screen = screens(round(1100 * scale), round(680 * scale))
     window = Window(
         screen,
         tmp_path,
@@ -421,7 +423,6 @@ def test_nothing_is_cut_at_larger_scales(tmp_path: Path, small_rig, small_scene,
         assert [str(w) for w in controls(window) if str(w) not in reached] == []
     finally:
         window.close()
-        screen.stop()
 
 
 def test_without_a_display_one_line_says_so(tmp_path: Path):

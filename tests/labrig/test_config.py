@@ -20,6 +20,7 @@ from labrig.models.manifest import ImportManifest
 from labrig.models.plan import Plan
 from labrig.models.rig import Rig
 from labrig.models.scene import Scene
+from labrig.models.series import Concentrations
 
 BY_FOLDER: dict[str, type[Any]] = {
     "plans": Plan,
@@ -27,6 +28,7 @@ BY_FOLDER: dict[str, type[Any]] = {
     "scenes": Scene,
     "analyses": Analysis,
     "imports": ImportManifest,
+    "series": Concentrations,
 }
 SHIPPED = sorted(labrig.config_folder().rglob("*.yaml"))
 

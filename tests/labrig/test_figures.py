@@ -230,6 +230,10 @@ def test_a_full_run_has_every_figure_with_units_on_its_axes(drawn: dict[str, Fig
             *("(single + multiple) / white − 1 (%)", "pixels"),
         },
         "attenuation": {"depth along the beam (mm)", "light (counts/s)", "residual (%)"},
+        "stripes": {
+            *("depth (mm)", "light (counts/s mm)", "light (10⁴ counts/s mm)"),
+            "off the model (%)",
+        },
         "bounces": {"depth along the beam (mm)", "light (counts/s)", "light / its peak"},
         "light-field": {"depth x (mm)", "y (mm)", "light (counts/s)"},
         "residual": {"depth x (mm)", "y (mm)", "light (counts/s)"},

@@ -30,8 +30,12 @@ RUN: dict[str, Any] = {
     "uncertainty": "std is statistical: camera noise carried through the fits.",
     "length_unit": "mm",
     "model": {"geometry": "flatland", "phase": "hg-plane"},
-    "method": {"separation": "known-pattern", "attenuation": "Eq. 9", "inversion": "Eq. 10"},
+    "method": {"separation": "known-pattern", "parameters": "stripe-aware"},
     "alternatives": {
+        "separated": {
+            "sigma_t_per_mm": {"value": 0.2041, "std": 0.0003},
+            "scale_c": {"value": 57502.0, "std": 6.0},
+        },
         "extrema": {
             "sigma_t_per_mm": {"value": 0.2, "std": 0.0004},
             "scale_c": {"value": 57925.5, "std": 9.0},
@@ -191,23 +195,24 @@ def test_truth_stands_beside_what_was_found(tmp_path: Path) -> None:
     assert row_of(page, "absorption")[4:] == ["0.10255", "+6.6 %"]
     assert row_of(page, "scale")[4:] == ["—", "—"]
     assert row_of(page, "depth_of_field_mm")[2:] == ["—", "1", "3", "—"]
-    assert row_of(page, "light without")[3:] == ["−25 %", "−25 %"]
+    assert row_of(page, "Eq. 9 on light without")[3:] == ["−25 %", "−25 %"]
 
 
 def test_alternatives_stand_side_by_side(tmp_path: Path) -> None:
     page = page_of(tmp_path, changed())
-    assert row_of(page, "single scattering, known-pattern (chosen)")[1] == "0.2048 ± 0.0003"
-    assert row_of(page, "single scattering, extrema")[1:4] == [
+    assert row_of(page, "stripe-aware (chosen)")[1] == "0.2048 ± 0.0003"
+    assert row_of(page, "Eq. 9 on single scattering, known-pattern")[1] == "0.2041 ± 0.0003"
+    assert row_of(page, "Eq. 9 on single scattering, extrema")[1:4] == [
         "0.2000 ± 0.0004",
         "57926 ± 9",
         "−2.3 %",
     ]
-    assert row_of(page, "light without separation")[1] == "0.15390 ± 0.00020"
+    assert row_of(page, "Eq. 9 on light without separation")[1] == "0.15390 ± 0.00020"
 
 
 def test_an_alternative_without_a_fit_says_so(tmp_path: Path) -> None:
     page = page_of(tmp_path, changed(alternatives={}))
-    cells = row_of(page, "light without separation")
+    cells = row_of(page, "Eq. 9 on light without separation")
     assert cells[1:] == ["—", "—", "no exponential could be fitted"]
 
 
