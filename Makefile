@@ -7,13 +7,16 @@ HARDWARE_PACKAGES := xvfb x11-xserver-utils libxrandr2 libxss1 g++ gcc libc6-dev
     libusb-1.0-0 umockdev gir1.2-umockdev-1.0 python3-gi gir1.2-aravis-0.8
 VM_PACKAGES := qemu-system-x86 busybox-static cpio kmod udev v4l-utils
 
-.PHONY: demo test hardware-packages vm-packages genicam hardware-vm lint types contracts bench bench-gui soak screenshots torture figures lock install clean
+.PHONY: demo test test-window hardware-packages vm-packages genicam hardware-vm lint types contracts bench bench-gui soak screenshots torture figures lock install clean
 
 demo: install  ## the main job on the simulated rig
 	@$(BIN)/labrig demo
 
 test: install  ## everything that is right or wrong
-	@$(BIN)/python -m pytest -n auto --dist worksteal
+	@$(BIN)/python -m pytest -n auto --dist worksteal -m "not window"
+
+test-window: install  ## the operator's window under an X server of its own, one test after the other
+	@$(BIN)/python -m pytest -n 0 -q -m window
 
 lint: install
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .

@@ -26,6 +26,8 @@ from labrig.gui.palette import ZEBRA
 from labrig.gui.settings import Settings
 from labrig.session import Session
 
+pytestmark = pytest.mark.window  # in real time: beside other tests some miss their beat
+
 LONG_S = 240.0  # of real time, after which a thing has not happened: test machines are shared
 
 
