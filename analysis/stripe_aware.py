@@ -79,8 +79,8 @@ class StripeAware:
 
     Attributes
     ----------
-    covariance : (3, 3) of (sigma_t, sigma_s, g): camera noise carried through the fit; where that is
-        unknown, the scatter of the residuals
+    covariance : (3, 3) of (sigma_t, sigma_s, g): camera noise carried through the fit; where
+        that is unknown, the scatter of the residuals
     model_covariance : (3, 3), what the model's own error, taken as independent from depth to
         depth, would do to them
     condition : condition number of the scaled normal matrix of (log sigma_t, albedo, g)
