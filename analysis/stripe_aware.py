@@ -39,15 +39,17 @@ STRIPE_TAU = 6.0  # the same of the stripes
 PROFILE_ERROR = 1e-3  # of the waves of the illumination
 UNKNOWN = 1e3  # of the logarithm of a contrast that was not measured
 FEWEST_DEPTHS = 8
-ALBEDOS, ASYMMETRIES = (0.3, 0.6, 0.9), (0.0, 0.5, 0.85)  # where a fit may start
+ALBEDOS, ASYMMETRIES = (0.4, 0.85), (0.0, 0.5, 0.85)  # where a fit may start
 STEP = 1e-4  # of the finite differences in log sigma_t, albedo and g
 G_LIMIT = 0.97
 AT_LIMIT = 1e-4
 REMEMBERED = 64  # media whose light is kept
-WALL_ROUNDS = 8
+ROUNDS = 8
+CLOSE = (1e-2, 1e-2, 1e-2)  # change from which on derivatives are kept
 SETTLED = (3e-4, 1e-3, 1e-3)  # change of (log sigma_t, albedo, g) that ends these rounds
 BOUNDS = ((-12.0, 0.0, -G_LIMIT), (6.0, 1.0, G_LIMIT))
 
+Contrasts = Callable[[Medium], Sequence[tuple[float | None, float]]]
 SideWalls = Callable[[Medium], ComplexArray]  # of sigma, the change of the white waves (J+1, n_x)
 
 
@@ -192,6 +194,13 @@ class _Problem:
         self.noise, self.error = np.concatenate(std), np.concatenate(error)
         self.weight = 1.0 / np.hypot(self.noise, self.error)
 
+    def set_contrasts(self, known: Sequence[tuple[float | None, float]]) -> None:
+        """Hold the contrasts to other values."""
+        n = len(known)
+        self._seen[-n:] = [math.log(value or 1.0) for value, _ in known]
+        self.error[-n:] = [std if value else UNKNOWN for value, std in known]
+        self.weight = 1.0 / np.hypot(self.noise, self.error)
+
     def medium(self, parameters: Sequence[float] | Array) -> Medium:
         """Return the medium of (log sigma_t, albedo, g)."""
         log_t, albedo, g = (float(v) for v in parameters[:3])
@@ -313,15 +322,19 @@ def fit_stripe_aware(
     sigma_t_per_mm: float,
     phase: Phase = "hg-plane",
     side_walls: SideWalls | None = None,
+    contrasts: Contrasts | None = None,
     near: Medium | None = None,
 ) -> StripeAware:
     """Fit (sigma_t, sigma_s, g) to the stripes of every period and to the white light.
 
+    What depends weakly on the medium (side walls, contrast) is found anew for each medium found,
+    until it settles; the last of these rounds keep the derivatives of the one before.
+
     Parameters
     ----------
     sigma_t_per_mm : a guess, such as Eq. 9 gives; it may be a third too small
-    side_walls : what the side walls change of the white waves per unit of C, (J + 1, n_x); the fit
-        is repeated with it
+    side_walls : what the side walls change of the white waves per unit of C, (J + 1, n_x)
+    contrasts : value and relative std of each period's contrast, better known with a medium
     near : where to start; else from several asymmetries and albedos
 
     Raises
@@ -330,17 +343,24 @@ def fit_stripe_aware(
         If too few depths hold stripes and white light, or no fit is found.
     """
     problem = _Problem(observed, phase, sigma_t_per_mm)
-    medium = _start(problem, sigma_t_per_mm) if near is None else _of(near)
-    if side_walls is None:
-        return _described(problem, _solve(problem, problem.start(medium)))
-    problem.losses = side_walls(problem.medium(medium))
-    found = _solve(problem, problem.start(medium))
-    for _ in range(WALL_ROUNDS):
+    at = _start(problem, sigma_t_per_mm) if near is None else _of(near)
+    found, slope = problem.start(at), None
+    for done in range(ROUNDS):
         before = found[:3].copy()
-        problem.losses = side_walls(problem.medium(found))
-        found = _solve(problem, found)
-        if np.all(np.abs(found[:3] - before) < SETTLED):
+        medium = problem.medium(found)
+        if side_walls is not None:
+            problem.losses = side_walls(medium)
+        if contrasts is not None and done > 0:
+            problem.set_contrasts(contrasts(medium))
+        if done == 0:
+            found = problem.start(at)
+        found = _solve(problem, found, slope=slope)
+        if side_walls is None and contrasts is None:
             break
+        if done > 0 and np.all(np.abs(found[:3] - before) < SETTLED):
+            break
+        near_enough = done > 0 and np.all(np.abs(found[:3] - before) < CLOSE)
+        slope = problem.jacobian(found) if near_enough else None
     return _described(problem, found)
 
 
@@ -403,7 +423,10 @@ def _start(problem: _Problem, sigma_t_per_mm: float) -> tuple[float, float, floa
     return best
 
 
-def _solve(problem: _Problem, start: Array, *, fixed_g: bool = False) -> Array:
+def _solve(
+    problem: _Problem, start: Array, *, fixed_g: bool = False, slope: Array | None = None
+) -> Array:
+    """Return the best parameters near ``start``; with ``slope`` for all derivatives on the way."""
     free = np.ones(start.size, dtype=np.bool_)
     free[2] = not fixed_g
     low = np.full(start.size, -np.inf)
@@ -419,11 +442,11 @@ def _solve(problem: _Problem, start: Array, *, fixed_g: bool = False) -> Array:
     found = least_squares(
         lambda p: problem.residual(whole(p)),
         inside,
-        jac=lambda p: problem.jacobian(whole(p))[:, free],
+        jac=lambda p: (problem.jacobian(whole(p)) if slope is None else slope)[:, free],
         bounds=(low[free], high[free]),
         x_scale="jac",
-        ftol=1e-6,
-        xtol=1e-6,
+        ftol=1e-5,
+        xtol=1e-5,
         gtol=1e-9,
         max_nfev=60,
     )

@@ -76,7 +76,7 @@ def fit_joint(pictures: Pictures, setup: Setup, config: Analysis, decay: Decay) 
     try:
         seen = observe(pictures, setup, guess, decay.tank)
         walls = _walls(decay.tank, decay.beam, seen.observed)
-        observed, fit = fit_seen(seen, guess, config.phase, walls)
+        observed, fit = seen.observed, fit_seen(seen, guess, config.phase, walls)
     except (AnalysisError, CalibrationError) as error:
         note = (
             f"No fit of stripes and white light together ({error}) The values are those of Eqs. 9 "
@@ -116,31 +116,30 @@ class Seen:
     pixel: float
     near_mm: float
 
-    def with_contrast(self, medium: Medium | None = None) -> Observed:
-        """Return what is seen with the stripes' contrast, corrected for a medium if there is one.
+    def contrasts(self, medium: Medium | None = None) -> list[tuple[float | None, float]]:
+        """Return c1 of each period and its relative std, corrected for a medium if there is one.
 
-        Without a medium the contrast is up to half a percent wrong.
+        Without a medium the contrast is up to half a percent wrong; None where it is not known.
         """
-        stripes = []
+        found = []
         for stripe, series, third in zip(
             self.observed.stripes, self.series, self.thirds, strict=True
         ):
-            if third is None:
-                stripes.append(stripe)
-                continue
-            found = measured_contrast(
-                stripe,
-                third,
-                self.pixel,
-                self.bins,
-                duty=series.duty,
-                near_mm=self.near_mm,
-                answer=None if medium is None else lambda q, x: self._answer(medium, q, x),
-            )
+            told = stripe
+            if third is not None:
+                told = measured_contrast(
+                    stripe,
+                    third,
+                    self.pixel,
+                    self.bins,
+                    duty=series.duty,
+                    near_mm=self.near_mm,
+                    answer=None if medium is None else lambda q, x: self._answer(medium, q, x),
+                )
             of_white = series.high - series.low
-            c1 = None if found.contrast is None else found.contrast * of_white
-            stripes.append(replace(found, contrast=c1))
-        return replace(self.observed, stripes=tuple(stripes))
+            c1 = None if told.contrast is None else told.contrast * of_white
+            found.append((c1, told.contrast_std))
+        return found
 
     def _answer(self, medium: Medium, wavenumber_per_mm: float, x_mm: Array) -> Array:
         o = self.observed
@@ -180,9 +179,7 @@ def observe(pictures: Pictures, setup: Setup, sigma_t_per_mm: float, tank: Tank)
     )
 
 
-def fit_seen(
-    seen: Seen, guess_per_mm: float, phase: Phase, walls: SideWalls
-) -> tuple[Observed, StripeAware]:
+def fit_seen(seen: Seen, guess_per_mm: float, phase: Phase, walls: SideWalls) -> StripeAware:
     """Fit once with a guess of the stripes' contrast, then with what the medium makes of it.
 
     Raises
@@ -190,13 +187,17 @@ def fit_seen(
     AnalysisError
         As `fit_stripe_aware` does.
     """
-    observed, near = seen.with_contrast(), None
-    for _ in range(2):
-        fit = fit_stripe_aware(
-            observed, sigma_t_per_mm=guess_per_mm, phase=phase, side_walls=walls, near=near
-        )
-        observed, near = seen.with_contrast(fit.medium), fit.medium
-    return observed, fit
+    guessed = tuple(
+        replace(stripe, contrast=c1, contrast_std=std)
+        for stripe, (c1, std) in zip(seen.observed.stripes, seen.contrasts(), strict=True)
+    )
+    return fit_stripe_aware(
+        replace(seen.observed, stripes=guessed),
+        sigma_t_per_mm=guess_per_mm,
+        phase=phase,
+        side_walls=walls,
+        contrasts=seen.contrasts,
+    )
 
 
 def _white(series: Series, pictures: Pictures, bins: Bins) -> tuple[Array, Array]:

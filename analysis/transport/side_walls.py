@@ -24,9 +24,9 @@ ComplexArray = NDArray[np.complex128]
 CELL_TAU = 0.5  # optical size of a cell, where the tank has room for as many
 MIN_CELLS = 24  # across the tank
 MAX_CELLS = 120
-TAIL = 1e-3  # of the energy, in bounces left out
+TAIL = 3e-3  # of the energy, in bounces left out
 MAX_BOUNCES = 200
-RESOLVED = 5e-3  # of g^(n/2), n directions
+RESOLVED = 9e-3  # of g^(n/2), n directions
 PEAKED = 0.8  # a larger asymmetry is exchanged for this one
 
 
@@ -78,7 +78,7 @@ def _waves(
     """Return the scattered fluence by waves along the face, (n_q, n_x)."""
     n_theta = 32
     while abs(medium.g) ** (n_theta // 2) > RESOLVED:
-        n_theta += 32
+        n_theta += 16
     grid = Grid(tank=tank, n_x=n_cells[0] + 1, n_y=n_cells[1] + 1, n_theta=n_theta)
     total = np.zeros((grid.n_y, grid.n_x))
     bounces = _bounces_for(medium)
