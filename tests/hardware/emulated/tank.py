@@ -13,7 +13,7 @@ from emulated.gige_camera import Scene
 from emulated.x_server import FrameBuffer
 from labrig.config import load
 from labrig.models.plan import Plan
-from labrig.models.rig import Rig
+from labrig.models.rig import Rig, SimulatedCameraConfig
 from labrig.models.scene import Scene as TankScene
 from labrig.scene import pipeline
 
@@ -24,11 +24,19 @@ def describe(rig: Path, scene: Path, plan: Path, screen: Path, place: Any, cap: 
     return json.dumps({**{key: str(path) for key, path in files.items()}, "place": place})
 
 
+def sensor_of(rig: Rig) -> SimulatedCameraConfig:
+    """Return the simulated camera that has the sensor of a rig's real one."""
+    kept = set(SimulatedCameraConfig.model_fields) & set(type(rig.camera).model_fields) - {"driver"}
+    told = {name: getattr(rig.camera, name) for name in kept}
+    return SimulatedCameraConfig(driver="simulated", **told)
+
+
 def tank_scene(argument: str) -> Scene:
     """Return what a camera sees of the tank, with the noise of its sensor."""
     told = json.loads(argument)
     rig, scene = load(Path(told["rig"]), Rig), load(Path(told["scene"]), TankScene)
-    picture = pipeline.see(scene, rig, load(Path(told["plan"]), Plan)).picture
+    plan = load(Path(told["plan"]), Plan)
+    picture = pipeline.see(scene, rig.model_copy(update={"camera": sensor_of(rig)}), plan).picture
     screen, cap = FrameBuffer(Path(told["screen"])), Path(told["cap"])
     x, width, height = told["place"]
     rng = np.random.default_rng(7)
