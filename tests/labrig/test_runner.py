@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -179,6 +180,15 @@ def test_abort_waits_no_longer_than_a_deaf_drivers_deadline(tmp_path: Path) -> N
     assert len(session.frames) == 2
 
 
+@pytest.fixture
+def interrupts() -> Iterator[None]:
+    """Let Ctrl-C interrupt, whatever another test of this process has made of it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before or signal.default_int_handler)
+
+
+@pytest.mark.usefixtures("interrupts")
 def test_ctrl_c_twice_does_no_harm(tmp_path: Path) -> None:
     with toy.rig_of() as rig:
         runner = toy.prepare(toy.plan_of(), rig, tmp_path)
