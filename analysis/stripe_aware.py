@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from threadpoolctl import threadpool_limits
 
 from analysis.errors import AnalysisError
 from analysis.medium import Medium, Phase
@@ -342,26 +343,27 @@ def fit_stripe_aware(
     AnalysisError
         If too few depths hold stripes and white light, or no fit is found.
     """
-    problem = _Problem(observed, phase, sigma_t_per_mm)
-    at = _start(problem, sigma_t_per_mm) if near is None else _of(near)
-    found, slope = problem.start(at), None
-    for done in range(ROUNDS):
-        before = found[:3].copy()
-        medium = problem.medium(found)
-        if side_walls is not None:
-            problem.losses = side_walls(medium)
-        if contrasts is not None and done > 0:
-            problem.set_contrasts(contrasts(medium))
-        if done == 0:
-            found = problem.start(at)
-        found = _solve(problem, found, slope=slope)
-        if side_walls is None and contrasts is None:
-            break
-        if done > 0 and np.all(np.abs(found[:3] - before) < SETTLED):
-            break
-        near_enough = done > 0 and np.all(np.abs(found[:3] - before) < CLOSE)
-        slope = problem.jacobian(found) if near_enough else None
-    return _described(problem, found)
+    with threadpool_limits(limits=1):  # small matrices: a second thread only waits
+        problem = _Problem(observed, phase, sigma_t_per_mm)
+        at = _start(problem, sigma_t_per_mm) if near is None else _of(near)
+        found, slope = problem.start(at), None
+        for done in range(ROUNDS):
+            before = found[:3].copy()
+            medium = problem.medium(found)
+            if side_walls is not None:
+                problem.losses = side_walls(medium)
+            if contrasts is not None and done > 0:
+                problem.set_contrasts(contrasts(medium))
+            if done == 0:
+                found = problem.start(at)
+            found = _solve(problem, found, slope=slope)
+            if side_walls is None and contrasts is None:
+                break
+            if done > 0 and np.all(np.abs(found[:3] - before) < SETTLED):
+                break
+            near_enough = done > 0 and np.all(np.abs(found[:3] - before) < CLOSE)
+            slope = problem.jacobian(found) if near_enough else None
+        return _described(problem, found)
 
 
 def stripe_answer(
