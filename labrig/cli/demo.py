@@ -40,10 +40,10 @@ def demo(
         off = (
             f"{p.value - p.truth:+.3f}"
             if name == "g"
-            else f"{100 * (p.value / p.truth - 1):+.1f} %"
+            else f"{100 * (p.value / p.truth - 1):+.2f} %"
         )
         table.add_row(name, f"{p.truth:.5g}", f"{p.value:.5g} ± {std}", off)
     out_console.print(table)
-    say("± is statistical; the deviation is the known bias of the paper's separation.")
+    say("± is statistical; the paper's way (Eqs. 9, 10) stands in the report beside it.")
     say(f"session  {found.session}")
     say(f"report   {found.report}")
