@@ -346,7 +346,7 @@ def fit_stripe_aware(
     with threadpool_limits(limits=1):  # small matrices: a second thread only waits
         problem = _Problem(observed, phase, sigma_t_per_mm)
         at = _start(problem, sigma_t_per_mm) if near is None else _of(near)
-        found, slope = problem.start(at), None
+        found, slope = np.array(at), None
         for done in range(ROUNDS):
             before = found[:3].copy()
             medium = problem.medium(found)
@@ -382,28 +382,6 @@ def stripe_answer(
     return np.abs(light)
 
 
-def profile_likelihood(
-    observed: Observed, best: StripeAware, asymmetries: Array, *, sigma_t_per_mm: float
-) -> Array:
-    """Return chi^2 less its minimum at fixed g, all else fitted anew, (n,).
-
-    The side walls' loss is that of the best medium; ``sigma_t_per_mm`` is the guess that chose
-    the depths of the best fit.
-    """
-    medium = best.medium
-    problem = _Problem(observed, medium.phase, sigma_t_per_mm)
-    problem.losses = best.losses
-    at_best = _solve(problem, problem.start(_of(medium)))
-    least = float(np.sum(problem.residual(at_best) ** 2))
-    out = np.empty(asymmetries.size)
-    for k, g in enumerate(asymmetries):
-        start = at_best.copy()
-        start[2] = g
-        found = _solve(problem, start, fixed_g=True)
-        out[k] = float(np.sum(problem.residual(found) ** 2)) - least
-    return out
-
-
 def _of(medium: Medium) -> tuple[float, float, float]:
     return math.log(medium.sigma_t_per_mm), medium.albedo, medium.g
 
@@ -425,27 +403,15 @@ def _start(problem: _Problem, sigma_t_per_mm: float) -> tuple[float, float, floa
     return best
 
 
-def _solve(
-    problem: _Problem, start: Array, *, fixed_g: bool = False, slope: Array | None = None
-) -> Array:
+def _solve(problem: _Problem, start: Array, *, slope: Array | None = None) -> Array:
     """Return the best parameters near ``start``; with ``slope`` for all derivatives on the way."""
-    free = np.ones(start.size, dtype=np.bool_)
-    free[2] = not fixed_g
-    low = np.full(start.size, -np.inf)
-    high = np.full(start.size, np.inf)
+    low, high = np.full(start.size, -np.inf), np.full(start.size, np.inf)
     low[:3], high[:3] = BOUNDS
-
-    def whole(parameters: Array) -> Array:
-        out = start.copy()
-        out[free] = parameters
-        return out
-
-    inside = np.clip(start, low + 1e-9, high - 1e-9)[free]
     found = least_squares(
-        lambda p: problem.residual(whole(p)),
-        inside,
-        jac=lambda p: (problem.jacobian(whole(p)) if slope is None else slope)[:, free],
-        bounds=(low[free], high[free]),
+        problem.residual,
+        np.clip(start, low + 1e-9, high - 1e-9),
+        jac=problem.jacobian if slope is None else lambda _: slope,
+        bounds=(low, high),
         x_scale="jac",
         ftol=1e-5,
         xtol=1e-5,
@@ -455,7 +421,7 @@ def _solve(
     if not found.success:
         msg = "the fit of stripes and white light together did not converge; see the alternatives."
         raise AnalysisError(msg)
-    return whole(found.x)
+    return np.asarray(found.x)
 
 
 def _described(problem: _Problem, found: Array) -> StripeAware:

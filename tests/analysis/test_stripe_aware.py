@@ -127,10 +127,11 @@ def test_light_of_the_monte_carlo_gives_its_medium(peaked):
     )
     known = with_contrast(seen, peaked, first.medium)
     found = fit_stripe_aware(known, sigma_t_per_mm=0.26, side_walls=loss, near=first.medium)
-    assert found.medium.sigma_t_per_mm == pytest.approx(0.3, rel=0.005)
-    assert found.medium.sigma_s_per_mm == pytest.approx(0.18, rel=0.02)
-    assert found.medium.g == pytest.approx(0.7, abs=0.02)
-    assert known.stripes[0].contrast == pytest.approx(CONTRAST, rel=0.005)
+    # measured worst of this and of the uneven beam 0.14 %, 0.39 %, 0.0015; contrast 0.015 %
+    assert found.medium.sigma_t_per_mm == pytest.approx(0.3, rel=0.003)
+    assert found.medium.sigma_s_per_mm == pytest.approx(0.18, rel=0.008)
+    assert found.medium.g == pytest.approx(0.7, abs=0.006)
+    assert known.stripes[0].contrast == pytest.approx(CONTRAST, rel=0.002)
     assert not found.at_limit
 
 
@@ -148,8 +149,9 @@ def test_stated_deviations_are_those_of_repetition(peaked):
     values, stds = (np.array(part) for part in zip(*found, strict=True))
     pulls = (values - values.mean(axis=0)) / stds
     spread = pulls.std(axis=0, ddof=1)
-    assert spread.min() > 0.75, spread
-    assert spread.max() < 1.3, spread
+    # measured 0.85 to 0.99; 50 repetitions know them to 10 %
+    assert spread.min() > 0.8, spread
+    assert spread.max() < 1.25, spread
 
 
 def test_a_beam_that_is_uneven_and_off_centre_does_not_bias():
@@ -158,9 +160,9 @@ def test_a_beam_that_is_uneven_and_off_centre_does_not_bias():
     seen = observed(light)
     known = with_contrast(seen, light, light.medium)
     found = fit_stripe_aware(known, sigma_t_per_mm=0.29, side_walls=walls(seen, beam))
-    assert found.medium.sigma_t_per_mm == pytest.approx(0.3, rel=0.005)
-    assert found.medium.sigma_s_per_mm == pytest.approx(0.12, rel=0.02)
-    assert found.medium.g == pytest.approx(0.5, abs=0.02)
+    assert found.medium.sigma_t_per_mm == pytest.approx(0.3, rel=0.003)
+    assert found.medium.sigma_s_per_mm == pytest.approx(0.12, rel=0.008)
+    assert found.medium.g == pytest.approx(0.5, abs=0.006)
 
 
 def test_stripes_through_a_slanted_beam_tell_its_slant():
