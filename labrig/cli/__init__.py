@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 
 import typer
@@ -15,7 +16,9 @@ from labrig.errors import LabrigError, RunError, SessionError
 
 def main() -> None:
     """Run the command line; print each error as one line and leave with its code."""
-    sys.exit(run(sys.argv[1:]))
+    code = run(sys.argv[1:])
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # there is nothing left to interrupt
+    sys.exit(code)
 
 
 def run(arguments: list[str]) -> int:

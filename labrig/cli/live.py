@@ -73,7 +73,10 @@ def _answer(reason: str) -> Command:
 
 @contextmanager
 def _interrupts(runner: Runner) -> Iterator[list[bool]]:
-    """Turn Ctrl-C into an abort meanwhile; the list is filled when it came."""
+    """Turn Ctrl-C into an abort; the list is filled when it came.
+
+    Once it came this process only says goodbye, so that no later one tears that: it stays ignored.
+    """
     interrupted: list[bool] = []
     if threading.current_thread() is not threading.main_thread():
         yield interrupted
@@ -87,7 +90,7 @@ def _interrupts(runner: Runner) -> Iterator[list[bool]]:
     try:
         yield interrupted
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, signal.SIG_IGN if interrupted else before)
 
 
 @contextmanager
