@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from analysis.separation import square_contrast
 from analysis.spectrum import CONTRAST_ERROR, Bins, StripeWave, white_light
-from analysis.stripe_aware import Observed, stripe_answer
+from analysis.stripe_aware import stripe_answer
+from analysis.stripe_problem import Observed
 from analysis.transport.eigenmodes import plane_light
 from labrig.errors import PlanError
 from labrig.joint_step import BIN_TAU, MAX_BINS, N_WAVES

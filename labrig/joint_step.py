@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from analysis.errors import AnalysisError
 from analysis.medium import Beam, Medium, Phase, Tank
+from analysis.phase_function import alike
 from analysis.spectrum import (
     Bins,
     StripeWave,
@@ -21,12 +22,12 @@ from analysis.spectrum import (
     white_light,
 )
 from analysis.stripe_aware import (
-    Observed,
     SideWalls,
     StripeAware,
     fit_stripe_aware,
     stripe_answer,
 )
+from analysis.stripe_problem import Observed
 from analysis.transport.side_walls import side_wall_loss
 from calibration.errors import CalibrationError
 from labrig.models.analysis import Analysis
@@ -163,16 +164,19 @@ def observe(pictures: Pictures, setup: Setup, sigma_t_per_mm: float, tank: Tank)
     height = pictures.stripes.shape[1] * pixel
     waves = 2.0 * np.pi * np.arange(N_WAVES + 1) / height
     series = (Series.main(pictures, setup), *pictures.more)
-    white = white_light(*_mean([_white(s, pictures, bins) for s in series]), pixel, waves)
+    black = pictures.black_variance
+    of_black = None if black is None else bins.gather(black[None], black[None])[1]
+    gathered = [_gather(one, bins) for one in series]
+    white = white_light(*_mean([g.white(of_black) for g in gathered]), pixel, waves)
     return Seen(
         observed=Observed(
             x_mm=bins.x_mm,
             white=white,
-            stripes=tuple(_stripes(s, pixel, bins, white) for s in series),
+            stripes=tuple(g.stripes(pixel, bins, white) for g in gathered),
             depth_mm=tank.depth_mm,
         ),
         series=series,
-        thirds=tuple(_third(s, bins) for s in series),
+        thirds=tuple(g.third() for g in gathered),
         bins=bins,
         pixel=pixel,
         near_mm=NEAR_TAU / sigma_t_per_mm,
@@ -200,42 +204,44 @@ def fit_seen(seen: Seen, guess_per_mm: float, phase: Phase, walls: SideWalls) ->
     )
 
 
-def _white(series: Series, pictures: Pictures, bins: Bins) -> tuple[Array, Array]:
-    """Return a wholly lit field from the mean of the shifts, and its variance, binned."""
-    n = series.net.shape[0]
-    lit = series.low + (series.high - series.low) * series.duty
-    mean, count = bins.mean(series.net.mean(axis=0) / lit)
-    noise, _ = bins.mean(series.variance.mean(axis=0) / (n * lit**2))
-    if pictures.black_variance is not None:
-        noise = noise + bins.mean(pictures.black_variance / lit**2)[0]
-    return mean, noise / np.maximum(count, 1.0)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Gathered:
+    """A series by depths: (n_shifts, rows, n_x), and the variance of one shift, (rows, n_x)."""
+
+    series: Series
+    net: Array
+    variance: Array
+
+    def white(self, black_variance: Array | None) -> tuple[Array, Array]:
+        """Return a wholly lit field from the mean of the shifts, and its variance."""
+        series, n = self.series, self.net.shape[0]
+        lit = series.low + (series.high - series.low) * series.duty
+        noise = self.variance / n + (0.0 if black_variance is None else black_variance)
+        return self.net.mean(axis=0) / lit, noise / lit**2
+
+    def stripes(self, pixel: float, bins: Bins, white: WhiteLight) -> StripeWave:
+        """Return the stripes' wave, a known loss of contrast with depth taken out."""
+        noise = self.variance * 2.0 / self.net.shape[0]
+        found = stripe_wave(demodulate(self.net), noise, pixel, bins, white)
+        if self.series.contrast is None:
+            return found
+        c1 = self.series.contrast(bins.x_mm)
+        return replace(found, amplitude=found.amplitude / c1 * c1[0], std=found.std / c1 * c1[0])
+
+    def third(self) -> ComplexArray | None:
+        """Return the third harmonic over the shifts, (rows, n_x), where there is one."""
+        return third_harmonic(self.net) if self.series.square else None
+
+
+def _gather(series: Series, bins: Bins) -> _Gathered:
+    net, variance = bins.gather(series.net, series.variance)
+    return _Gathered(series=series, net=net, variance=variance)
 
 
 def _mean(whites: list[tuple[Array, Array]]) -> tuple[Array, Array]:
     """Return the mean of equally good fields; black, common to all, is counted too often."""
     value = np.mean([w for w, _ in whites], axis=0)
     return value, np.mean([v for _, v in whites], axis=0) / len(whites)
-
-
-def _stripes(series: Series, pixel: float, bins: Bins, white: WhiteLight) -> StripeWave:
-    n = series.net.shape[0]
-    z = demodulate(series.net)
-    real, count = bins.mean(z.real)
-    imaginary, _ = bins.mean(z.imag)
-    noise, _ = bins.mean(series.variance.mean(axis=0))
-    noise *= 2.0 / n / np.maximum(count, 1.0)
-    found = stripe_wave(real + 1j * imaginary, noise, pixel, bins, white)
-    if series.contrast is None:
-        return found
-    c1 = series.contrast(bins.x_mm)
-    return replace(found, amplitude=found.amplitude / c1 * c1[0], std=found.std / c1 * c1[0])
-
-
-def _third(series: Series, bins: Bins) -> ComplexArray | None:
-    third = third_harmonic(series.net) if series.square else None
-    if third is None:
-        return None
-    return np.asarray(bins.mean(third.real)[0] + 1j * bins.mean(third.imag)[0])
 
 
 def _walls(tank: Tank, beam: Beam, observed: Observed) -> SideWalls:
@@ -259,16 +265,18 @@ def _walls(tank: Tank, beam: Beam, observed: Observed) -> SideWalls:
 
 
 def _other(observed: Observed, fit: StripeAware, guess_per_mm: float) -> StripeAware | None:
-    """Fit the phase function that was not asked for; None where it has no such medium."""
-    phase: Phase = "hg-paper" if fit.medium.phase == "hg-plane" else "hg-plane"
+    """Fit the phase function that was not asked for; None where no such medium scatters alike."""
+    near = alike(fit.medium, "hg-paper" if fit.medium.phase == "hg-plane" else "hg-plane")
+    if near is None:
+        return None
     loss = fit.losses
     try:
         return fit_stripe_aware(
             observed,
             sigma_t_per_mm=guess_per_mm,
-            phase=phase,
+            phase=near.phase,
             side_walls=lambda _: loss,
-            near=replace(fit.medium, phase=phase),
+            near=near,
         )
     except AnalysisError:
         return None

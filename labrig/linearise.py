@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +21,7 @@ from labrig.session import Session
 
 Array = NDArray[np.float64]
 
+WORKERS = 2  # pictures merged side by side; each holds its sums, so that more would cost memory
 LIGHT = frozenset({"stripes", "white", "black", "ambient"})  # roles that are merged and separated
 
 
@@ -59,20 +61,15 @@ def linearise(
             return known.dark.at(exposure_s)
         return darks.get(exposure_s, camera.black_level_dn)
 
-    return {
-        name: _without_hot(
-            merge(
-                (session.read(shot.id) for shot in shots),
-                [shot.exposure_s for shot in shots],
-                [offset(shot.exposure_s) for shot in shots],
-                camera,
-                known.flat,
-            ),
-            known,
-        )
-        for name, shots in by_picture.items()
-        if shots[0].role in LIGHT
-    }
+    def merged(shots: list[Shot]) -> Radiance:
+        frames = (session.read(shot.id) for shot in shots)
+        times_s = [shot.exposure_s for shot in shots]
+        offsets = [offset(time_s) for time_s in times_s]
+        return _without_hot(merge(frames, times_s, offsets, camera, known.flat), known)
+
+    lit = {name: shots for name, shots in by_picture.items() if shots[0].role in LIGHT}
+    with ThreadPoolExecutor(WORKERS) as pool:
+        return dict(zip(lit, pool.map(merged, lit.values()), strict=True))
 
 
 def _refuse_mixed_patterns(session: Session, by_picture: Mapping[str, list[Shot]]) -> None:
