@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from analysis.errors import AnalysisError
 from analysis.medium import Medium, Phase
-from analysis.stripe_problem import BOUNDS, G_LIMIT, Observed, Problem, directions
+from analysis.stripe_problem import G_LIMIT, Observed, Problem, directions
 from analysis.transport.eigenmodes import plane_light
 
 Array = NDArray[np.float64]
@@ -33,6 +33,7 @@ AT_LIMIT = 1e-4
 ROUNDS = 8
 ROUGH, FINE = 1e-3, 1e-5  # change of a fit's residual, or of its parameters, that ends it
 FAR = (2e-3, 2e-3, 2e-3)  # change from which on derivatives are taken anew
+PROFILE_STDS, PROFILE_POINTS = 3.0, 7
 SETTLED = (3e-4, 1e-3, 1e-3)  # change of (log sigma_t, albedo, g) that ends these rounds
 
 Contrasts = Callable[[Medium], Sequence[tuple[float | None, float]]]
@@ -48,13 +49,15 @@ class StripeAware:
     covariance : (3, 3) of (sigma_t, sigma_s, g): camera noise carried through the fit; where
         that is unknown, the scatter of the residuals
     model_covariance : (3, 3), what the model's own error, taken as independent from depth to
-        depth, would do to them
+        depth, would do to them; where the light misses the model by more, what that much would
     condition : condition number of the scaled normal matrix of (log sigma_t, albedo, g)
     scale_c, scale_c_std : light of the ballistic beam where it enters, times mm across it
     contrast : (n_periods,), amplitude of the stripes over the white light, c1 as it arrived
     profile : (J,) complex, w^(q_j) / w^(0)
     losses : (J + 1, n_x) complex, what the side walls change of the white waves, per unit of C
     chi2_per_dof : mean squared residual in units of noise and model error together
+    profile_g : (n, 2), the profile likelihood: values of g, and how much chi^2 is above its least
+        there, all else fitted anew; empty if it was not asked for
     at_limit : albedo or g stopped at the end of what is possible
     depth_range_mm : of the white light fitted; ``stripe_range_mm`` of the stripes
     white_fit : (J + 1, n_x) complex, the model of the white waves; NaN where not fitted
@@ -71,6 +74,7 @@ class StripeAware:
     profile: ComplexArray
     losses: ComplexArray
     chi2_per_dof: float
+    profile_g: Array
     at_limit: bool
     depth_range_mm: tuple[float, float]
     stripe_range_mm: tuple[float, float]
@@ -86,6 +90,8 @@ def fit_stripe_aware(
     side_walls: SideWalls | None = None,
     contrasts: Contrasts | None = None,
     near: Medium | None = None,
+    g: float | None = None,
+    profile: bool = False,
 ) -> StripeAware:
     """Fit (sigma_t, sigma_s, g) to the stripes of every period and to the white light.
 
@@ -98,6 +104,8 @@ def fit_stripe_aware(
     side_walls : what the side walls change of the white waves per unit of C, (J + 1, n_x)
     contrasts : value and relative std of each period's contrast, better known with a medium
     near : where to start; else from several asymmetries and albedos
+    g : held there, for data that do not tell it
+    profile : whether the profile likelihood of g is wanted too
 
     Raises
     ------
@@ -107,6 +115,9 @@ def fit_stripe_aware(
     with threadpool_limits(limits=1):  # small matrices: a second thread only waits
         problem = Problem(observed, phase, sigma_t_per_mm)
         at = np.array(_start(problem, sigma_t_per_mm) if near is None else _of(near))
+        if g is not None:
+            problem.hold_g(g)
+            at[2] = g
         found = problem.start(at)
         path: list[tuple[Array, Array]] = []
         for done in range(ROUNDS):
@@ -125,10 +136,12 @@ def fit_stripe_aware(
                 problem.renew(found)
             at, path = found[:3], [*path[-2:], (at, move)] if done > 0 else []
             if path:
-                at = _ahead(path)
+                at = np.clip(_ahead(path), *problem.bounds)
             found[:3] = at
         problem.renew(found)
-        return _described(problem, _solve(problem, found))
+        found = _solve(problem, found)
+        described = _described(problem, found)
+        return replace(described, profile_g=_profile(problem, found)) if profile else described
 
 
 def _ahead(path: Sequence[tuple[Array, Array]]) -> Array:
@@ -139,8 +152,7 @@ def _ahead(path: Sequence[tuple[Array, Array]]) -> Array:
     moves = np.stack([move - other for _, other in path[:-1]], axis=1)
     steps = np.stack([at - other for other, _ in path[:-1]], axis=1)
     share = np.linalg.lstsq(moves, move, rcond=1e-3)[0]
-    ahead = at + move - (steps + moves) @ share
-    return np.clip(ahead, *(np.array(bound) for bound in BOUNDS))
+    return np.asarray(at + move - (steps + moves) @ share)
 
 
 def stripe_answer(
@@ -157,6 +169,22 @@ def stripe_answer(
         n_theta=directions(medium.g, q, float(x_mm.max())),
     )
     return np.abs(light)
+
+
+def _profile(problem: Problem, found: Array) -> Array:
+    """Return g and chi^2 above its least, all else fitted anew, over three std to each side."""
+    normal = problem.jacobian(found).T @ problem.jacobian(found)
+    std = math.sqrt(float(np.linalg.pinv(normal)[2, 2]))
+    least = float(np.sum(problem.residual(found) ** 2))
+    curve = []
+    for g in found[2] + std * np.linspace(-PROFILE_STDS, PROFILE_STDS, PROFILE_POINTS):
+        if abs(g) < G_LIMIT:
+            problem.hold_g(float(g))
+            start = found.copy()
+            start[2] = g
+            above = np.sum(problem.residual(_solve(problem, start, ROUGH)) ** 2) - least
+            curve.append((float(g), float(above)))
+    return np.array(curve).reshape(-1, 2)
 
 
 def _of(medium: Medium) -> tuple[float, float, float]:
@@ -183,7 +211,7 @@ def _start(problem: Problem, sigma_t_per_mm: float) -> tuple[float, float, float
 def _solve(problem: Problem, start: Array, tolerance: float = FINE) -> Array:
     """Return the best parameters near ``start``."""
     low, high = np.full(start.size, -np.inf), np.full(start.size, np.inf)
-    low[:3], high[:3] = BOUNDS
+    low[:3], high[:3] = problem.bounds
     found = least_squares(
         problem.residual,
         np.clip(start, low + 1e-9, high - 1e-9),
@@ -225,7 +253,7 @@ def _described(problem: Problem, found: Array) -> StripeAware:
     return StripeAware(
         medium=medium,
         covariance=carried(pull),
-        model_covariance=problem.carried_error(pull),
+        model_covariance=max(1.0, chi2_per_dof) * problem.carried_error(pull),
         condition=float(np.linalg.cond(scaled)),
         scale_c=math.exp(found[3]),
         scale_c_std=math.exp(found[3]) * math.sqrt(of_scale),
@@ -233,6 +261,7 @@ def _described(problem: Problem, found: Array) -> StripeAware:
         profile=found[4 : 4 + n] + 1j * found[4 + n : 4 + 2 * n],
         losses=problem.losses,
         chi2_per_dof=chi2_per_dof,
+        profile_g=np.empty((0, 2)),
         at_limit=bool(medium.albedo > 1.0 - AT_LIMIT or abs(medium.g) > G_LIMIT - AT_LIMIT),
         depth_range_mm=(float(lit[0]), float(lit[-1])),
         stripe_range_mm=(float(striped.min()), float(striped.max())),

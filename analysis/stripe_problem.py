@@ -35,6 +35,7 @@ UNKNOWN = 1e3  # of the logarithm of a contrast that was not measured
 FEWEST_DEPTHS = 8
 STEP = 1e-4  # of the finite differences in log sigma_t, albedo and g
 G_LIMIT = 0.97
+HELD = 1e-7  # half of the room that is left to a g that is held
 LEAST_STEP = 1e-3  # shorter ones change the derivatives less than they would spoil them
 REMEMBERED = 64  # media whose light is kept
 BOUNDS = ((-12.0, 0.0, -G_LIMIT), (6.0, 1.0, G_LIMIT))
@@ -82,6 +83,7 @@ class Problem:
         self._memory: dict[tuple[float, ...], ComplexArray] = {}
         self._slope: ComplexArray | None = None  # of the answer, (n, 3)
         self._last = (np.zeros(3), np.zeros(0, dtype=np.complex128))
+        self.bounds = tuple(np.array(bound) for bound in BOUNDS)
         self.n_waves = o.white.wavenumber_per_mm.size - 1
         self.losses = np.zeros((self.n_waves + 1, o.x_mm.size), dtype=np.complex128)
         self.lit, self.striped = self._depths(sigma_t_per_mm)
@@ -117,7 +119,7 @@ class Problem:
         if fewest < FEWEST_DEPTHS:
             msg = (
                 f"{fewest} depths are left to fit the stripes and the white light together, "
-                f"{FEWEST_DEPTHS} are needed; take longer exposures or a less dense sample."
+                f"{FEWEST_DEPTHS} are needed from {FACE_TAU:g} mean free paths on."
             )
             raise AnalysisError(msg)
         return lit, striped
@@ -143,6 +145,10 @@ class Problem:
         ]
         self.noise, self.error = np.concatenate(std), np.concatenate(error)
         self.weight = 1.0 / np.hypot(self.noise, self.error)
+
+    def hold_g(self, g: float) -> None:
+        """Leave g where it is told to be."""
+        self.bounds[0][2], self.bounds[1][2] = g - HELD, g + HELD
 
     def set_contrasts(self, known: Sequence[tuple[float | None, float]]) -> None:
         """Hold the contrasts to other values."""
