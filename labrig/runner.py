@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,7 @@ from labrig.session_writer import SessionWriter
 PATIENCE_S = 10.0  # the longest that finishing may wait for the disk
 MIN_FAILURES = 3  # a short run may have as many without being stopped by their share
 _REARM: frozenset[Cause] = frozenset({Cause.NOT_FIRED})
+_BY_LOOKS: frozenset[Cause] = frozenset({Cause.WRONG_EXPOSURE, Cause.WRONG_PATTERN})
 
 
 class _AbortedError(Exception):
@@ -195,7 +197,7 @@ class Runner(RunLog):
             except AttemptError as error:
                 counts[error.cause] += 1
                 self._journal_failure(shot.id, self._attempts[shot.id], error)
-                again = self._mend(block, error, counts)
+                again = self._mend(shot, block, error, counts)
                 self._boundary(block)
                 continue
             break
@@ -222,18 +224,35 @@ class Runner(RunLog):
 
     def _hold_together(self, shot: Shot, block: tuple[Shot, ...]) -> None:
         """Take a group again whose shifts contradict one another; ask where that does not help."""
-        found = need(self._sequencer).looks.group_residual(shot)
-        if found is None or found[0] <= self._plan.limits.shift_residual:
+        doubt = need(self._sequencer).looks.group_doubt(shot)
+        if doubt is None:
             return
         if shot.group in self._doubted:
-            self._pause(f"{found[1]} It is so for the second time.", block)
+            self._pause(f"{doubt} It is so for the second time.", block)
             return
-        self._doubted.add(shot.group)
-        self._problem(found[1])
-        self._void(block, found[1])
+        self._problem(doubt)
+        self._begin_again(block, doubt)
+
+    def _begin_again(self, block: tuple[Shot, ...], why: str, other: str = "") -> NoReturn:
+        """Take a block again, and that of another shot, with new references.
+
+        Pictures contradict one another, and it is not known which of them is wrong.
+        """
+        self._doubted |= {shot.group for shot in block}
+        for doubted in blocks_of(self._expanded.shots):
+            if doubted == block or any(shot.id == other for shot in doubted):
+                self._void(doubted, why)
+        need(self._sequencer).looks.begin_again()
+        self._refer()
         raise _GroupEndedError
 
-    def _mend(self, block: tuple[Shot, ...], error: AttemptError, counts: Counter[Cause]) -> bool:
+    def _mend(
+        self,
+        shot: Shot,
+        block: tuple[Shot, ...],
+        error: AttemptError,
+        counts: Counter[Cause],
+    ) -> bool:
         """Do what the cause asks for; return whether the pattern is still up for the next try."""
         cause, sequencer = error.cause, need(self._sequencer)
         if cause == Cause.DEVICE_LOST:
@@ -247,6 +266,8 @@ class Runner(RunLog):
         limits = self._plan.limits
         allowed = max(limits.failures_per_run * self.status.total, MIN_FAILURES)
         if counts[cause] >= limits.attempts_per_shot:
+            if cause in _BY_LOOKS and shot.group not in self._doubted:
+                self._begin_again(block, str(error), sequencer.looks.compared_with(shot))
             counts.clear()
             self._pause(
                 f"{error} It failed {limits.attempts_per_shot} times for this cause.", block
@@ -387,11 +408,15 @@ class Runner(RunLog):
         After the ``last`` shot a lamp that changed is only told of, and so is one not seen.
         """
         self._set(shot="", attempt=0)
+        why = ""
         for _ in range(self._plan.limits.attempts_per_shot):
             try:
                 found = self.references.measure(need(self._sequencer), self._cancel)
             except AttemptError as error:
                 self._problem(f"reference: {error}")
+                why = str(error)
+                if error.cause is Cause.WRONG_EXPOSURE:
+                    need(self._sequencer).forget_exposure()
                 if not last and error.cause in (Cause.DEVICE_LOST, Cause.NOT_FIRED):
                     self._recover(blocks_of(self._expanded.shots)[0], str(error))
                 continue
@@ -402,7 +427,7 @@ class Runner(RunLog):
                     self._keep(Item(event="segment", details={"reason": found.text}))
             return
         if not last:
-            msg = "no reference frame could be taken; check lamp, camera and trigger."
+            msg = f"no reference frame could be taken; check lamp, camera and trigger: {why}"
             raise RunError(msg)
 
     # What is kept and told of an attempt.
