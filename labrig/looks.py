@@ -43,7 +43,8 @@ Doubt = tuple[Cause, str]
 class Swing:
     """What stripes have been seen to change: by (n,) pixel, DN/s, and at which shifts.
 
-    After shifts that make half a period an edge has passed every pixel.
+    After half of the shifts an edge has passed every pixel; before that it is known of some alone,
+    and these will not change again at once.
     """
 
     per_s: NDArray[np.float64]
@@ -69,7 +70,7 @@ class Looks:
         self._known: dict[str | None, tuple[str, Thinned]] = {}  # by pattern, with the shot's id
         self._lit: dict[str, dict[float, Thinned]] = {"white": {}, "black": {}}  # by exposure
         self._last: tuple[Shot, Thinned] | None = None
-        self._swing: dict[str, Swing] = {}  # by set
+        self._swing: dict[str, dict[float, Swing]] = {}  # by set and exposure
         self._groups: dict[str, dict[int, Thinned]] = {}
 
     def doubt(
@@ -169,7 +170,8 @@ class Looks:
         change[change**2 < CLEAR * (now.variance + before.variance)] = 0.0
         if np.count_nonzero(change) < ENOUGH_PIXELS:
             return
-        swing = self._swing.setdefault(shot.set, Swing(np.zeros(change.size), set()))
+        known = self._swing.setdefault(shot.set, {})
+        swing = known.setdefault(shot.exposure_s, Swing(np.zeros(change.size), set()))
         np.maximum(swing.per_s, change / now.exposure_s, out=swing.per_s)
         swing.shifts.add(shot.shift or 0)
 
@@ -242,10 +244,11 @@ class Looks:
         Pixels that are clipped before and after see nothing, and nor do those where the stripes
         of this set have no contrast that noise would not hide.
         """
-        swing = self._swing.get(shot.set)
-        if swing is None or shot.shifts is None or 2 * len(swing.shifts) < shot.shifts:
+        every = self._swing.get(shot.set, {}).values()
+        whole = [s.per_s for s in every if 2 * len(s.shifts) >= (shot.shifts or 0)]
+        if not whole or shot.shifts is None:
             return None
-        expected = (swing.per_s * shot.exposure_s) ** 2 / variance
+        expected = (np.maximum.reduce(whole) * shot.exposure_s) ** 2 / variance
         seeing = np.asarray(open_ & (expected > CLEAR))
         if seeing.sum() < ENOUGH_PIXELS:
             return None
