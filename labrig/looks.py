@@ -82,6 +82,8 @@ class Looks:
         exposed longer; and against the shot before, a new pattern must be seen to have come, at
         pixels that are known to see it.
         """
+        if shot.role == "white" and self._last is None:
+            self._thinner.aim(pixels)
         now = self._thinner.thin(pixels, shot.exposure_s, self.lamp)
         if (clipped_dn := self._clipped(now)) is not None:
             details["clipped_at_dn"] = clipped_dn

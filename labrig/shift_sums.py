@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from labrig.thinned import Array, Mask, Thinned
 
 ENOUGH_PIXELS = 50
+UNEVEN = 0.02  # standard deviation of a brightness that says too little
 SURE = 5.0  # standard deviations of noise that a contradiction must exceed
 
 
@@ -103,19 +104,23 @@ def _of_odd(light: Array, variance: Array, half: tuple[Array, Array]) -> Sums | 
     turn = np.exp(-2j * np.pi * np.arange(n) / n)
     stripes = 2.0 / n * np.tensordot(turn, light, axes=1)
     mean, even = light.mean(axis=0), half[0]
-    power, seen = float(np.mean(even**2)), float(np.mean(np.abs(stripes) ** 2))
+    power = float(np.mean(even**2) - np.mean(half[1]))
+    seen = float(np.mean(np.abs(stripes) ** 2) - 4.0 / n * np.mean(variance))
     if power <= 0.0 or seen <= 0.0:
         return None
-    brightness = float(mean @ even / even.size / power)
-    left = abs(np.mean((mean - brightness * even) * stripes.conj())) / seen
-    per_pixel = variance.mean(axis=0) / n + brightness**2 * half[1]
-    noise = np.sqrt(np.mean(per_pixel * np.abs(stripes) ** 2) / even.size) / seen
+    brightness = float(mean @ even) / even.size / power
+    rest = mean - brightness * even
+    left = rest * stripes.conj()
+    unsure = np.sqrt(np.mean(np.abs(left) ** 2) / even.size) / seen
     # one frame's fault is spread over the mean of N; told as large as in the sum of a pair
-    share = left * 0.5 * n * np.sqrt(0.5 * seen) / (brightness * np.sqrt(power))
+    found = float(abs(left.mean())) / seen
+    share = found * 0.5 * n * np.sqrt(0.5 * seen / power) / brightness
+    # harmonics that the mean keeps make it uneven, and few pixels may not average that out
+    uneven = np.sqrt(np.mean((rest * even) ** 2) / even.size) / power
     return Sums(
-        residual=float(share) if left > SURE * noise else 0.0,
+        residual=float(share) if found > SURE * unsure else 0.0,
         worst=f"the mean of the {n} shifts still has their stripes",
-        brightness=brightness,
+        brightness=brightness if uneven < UNEVEN else None,
     )
 
 

@@ -13,6 +13,7 @@ from labrig.rig import OpenRig
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+LIT, BRIGHT_STEP = 0.05, 97  # share of the brightest; every so many pixels tell what that is
 SAMPLE = 20_000  # pixels at random places: a regular grid of them could fit the stripes' period
 
 
@@ -67,9 +68,21 @@ class Thinner:
             lamp=lamp,
         )
 
+    def aim(self, white: NDArray[np.uint16]) -> None:
+        """Choose most pixels where a white picture, (rows, cols), is lit; older ones are void."""
+        counts = white.ravel()
+        low, high = np.quantile(counts[::BRIGHT_STEP], (0.01, 0.999))
+        bright = np.flatnonzero(counts > low + LIT * (high - low))
+        rng = np.random.default_rng(counts.size)
+        n = min(bright.size, SAMPLE * 3 // 4)
+        lit = bright[rng.choice(bright.size, n, replace=False)]
+        self._at = (counts.size, np.union1d(lit, self._anywhere(counts.size, SAMPLE // 4)))
+
     def _places(self, size: int) -> NDArray[np.int64]:
         if self._at is None or self._at[0] != size:
-            rng = np.random.default_rng(size)
-            n = min(size, SAMPLE)
-            self._at = (size, np.sort(rng.choice(size, n, replace=False, shuffle=False)))
+            self._at = (size, self._anywhere(size, SAMPLE))
         return self._at[1]
+
+    def _anywhere(self, size: int, n: int) -> NDArray[np.int64]:
+        rng = np.random.default_rng(size)
+        return np.sort(rng.choice(size, min(size, n), replace=False, shuffle=False))
