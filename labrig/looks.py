@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from labrig.models.plan import Plan, Shot, StripesPattern
 from labrig.rig import OpenRig
 from labrig.shift_sums import ENOUGH_PIXELS, SURE, Sums, add_up
-from labrig.thinned import Mask, Thinned, Thinner
+from labrig.thinned import Mask, Thinned, Thinner, typical
 
 RATIO_TOLERANCE = 0.03  # of brightness between two brackets of one pattern
 LAMP_TOLERANCE = 0.2  # and between two frames of one exposure, for a lamp drifts
@@ -201,7 +201,7 @@ class Looks:
             return None
         power = float(np.mean(white[usable] ** 2))
         noise = float(np.mean((now.variance + ratio**2 * variance)[usable]))
-        excess = float(np.mean((now.light - ratio * light)[usable] ** 2)) - noise
+        excess = float(typical((now.light - ratio * light)[usable] ** 2)) - noise
         if excess < SURE * noise * np.sqrt(2.0 / usable.sum()) or power <= 0.0:
             return None
         residual = float(np.sqrt(excess / power))

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from labrig.thinned import Array, Mask, Thinned
+from labrig.thinned import Array, Mask, Thinned, typical
 
 ENOUGH_PIXELS = 50
 UNEVEN = 0.02  # standard deviation of a brightness that says too little
@@ -83,7 +83,7 @@ def _of_pairs(light: Array, variance: Array, half: tuple[Array, Array] | None) -
     lamp = rows @ common / (common.size * power)
     apart = (rows - lamp[:, None] * common) / (1.0 - weight[:, None])  # from the mean of the others
     expected = noise / (1.0 - weight)
-    excess = _above_noise(np.mean(apart**2, axis=1), expected, common.size)
+    excess = _above_noise(typical(apart**2), expected, common.size)
     worst = int(excess[:n].argmax())
     return Sums(
         residual=float(np.sqrt(excess[:n].max() / power)),

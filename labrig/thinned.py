@@ -44,6 +44,15 @@ class Thinned:
         return k * self.light, k**2 * self.variance
 
 
+def typical(squares: Array) -> Array:
+    """Return the mean over the last axis without its largest hundredth.
+
+    Glints, hot pixels and what spills over from clipped ones are not what a picture shows.
+    """
+    kept = squares.shape[-1] - squares.shape[-1] // 100
+    return np.asarray(np.partition(squares, kept - 1, axis=-1)[..., :kept].mean(axis=-1))
+
+
 class Thinner:
     """Thins the pictures of one rig."""
 
