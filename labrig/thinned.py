@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 LIT, BRIGHT_STEP = 0.05, 97  # share of the brightest; every so many pixels tell what that is
-SAMPLE = 20_000  # pixels at random places: a regular grid of them could fit the stripes' period
+SAMPLE = 8_000  # pixels at random places: a regular grid of them could fit the stripes' period
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
