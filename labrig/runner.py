@@ -168,7 +168,7 @@ class Runner(RunLog):
     def _take(self, shot: Shot, block: Block) -> None:
         """Try at a shot until it is taken, given up or the operator decides."""
         counts: Counter[Cause] = Counter()
-        again = False
+        again = True
         while True:
             self._attempts[shot.id] += 1
             self._set(shot=shot.id, attempt=self._attempts[shot.id])

@@ -113,7 +113,7 @@ class Sequencer:
 
         Parameters
         ----------
-        again : the pattern of the attempt before is still up, and is not shown again
+        again : the pattern of the attempt before may stay up, if it is this one
 
         Raises
         ------
