@@ -30,6 +30,7 @@ ComplexArray = NDArray[np.complex128]
 
 ALBEDOS, ASYMMETRIES = (0.4, 0.85), (0.0, 0.5, 0.85)  # where a fit may start
 AT_LIMIT = 1e-4
+WALL_ERROR = 0.05  # of what the side walls take away: how well that is known
 ROUNDS = 8
 ROUGH, FINE = 1e-3, 1e-5  # change of a fit's residual, or of its parameters, that ends it
 FAR = (2e-3, 2e-3, 2e-3)  # change from which on derivatives are taken anew
@@ -49,7 +50,8 @@ class StripeAware:
     covariance : (3, 3) of (sigma_t, sigma_s, g): camera noise carried through the fit; where
         that is unknown, the scatter of the residuals
     model_covariance : (3, 3), what the model's own error, taken as independent from depth to
-        depth, would do to them; where the light misses the model by more, what that much would
+        depth, would do to them; where the light misses the model by more, what that much would.
+        Beside it what an error of the side walls' losses would do
     condition : condition number of the scaled normal matrix of (log sigma_t, albedo, g)
     scale_c, scale_c_std : light of the ballistic beam where it enters, times mm across it
     contrast : (n_periods,), amplitude of the stripes over the white light, c1 as it arrived
@@ -246,6 +248,7 @@ def _described(problem: Problem, found: Array) -> StripeAware:
 
     of_scale = float(carried(pull[3:])[0, 0])
     pull = turn @ pull[:3]
+    by_walls = pull @ problem.change_by_walls(found, WALL_ERROR)
     scaled = jacobian[:, :3] / np.linalg.norm(jacobian[:, :3], axis=0)
     striped = np.concatenate([o.x_mm[use] for use in problem.striped])
     lit = o.x_mm[problem.lit]
@@ -253,7 +256,8 @@ def _described(problem: Problem, found: Array) -> StripeAware:
     return StripeAware(
         medium=medium,
         covariance=carried(pull),
-        model_covariance=max(1.0, chi2_per_dof) * problem.carried_error(pull),
+        model_covariance=max(1.0, chi2_per_dof) * problem.carried_error(pull)
+        + np.outer(by_walls, by_walls),
         condition=float(np.linalg.cond(scaled)),
         scale_c=math.exp(found[3]),
         scale_c_std=math.exp(found[3]) * math.sqrt(of_scale),

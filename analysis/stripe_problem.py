@@ -262,6 +262,14 @@ class Problem:
         parts = [waves.real.ravel(), waves.imag[1:].ravel(), *striped, free, contrast]
         return np.concatenate(parts)
 
+    def change_by_walls(self, parameters: Array, share: float) -> Array:
+        """Return what a share of the side walls' losses makes of what is seen."""
+        here, losses = self._predicted(parameters), self.losses
+        self.losses = (1.0 + share) * losses
+        there = self._predicted(parameters)
+        self.losses = losses
+        return there - here
+
     def _split(self, answer: ComplexArray) -> tuple[ComplexArray, list[Array]]:
         """Return the white waves (J + 1, n_lit), and each period's stripes."""
         n_lit = int(self.lit.sum())
