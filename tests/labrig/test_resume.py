@@ -214,13 +214,13 @@ def test_r8_recovery_of_672_frames_is_quick(tmp_path: Path) -> None:
             ]
         )
     writer.leave("failed", "left for the test")
-    begun = time.monotonic()
+    begun = time.process_time()
     again, recovery = reopen(writer.path)
-    took_s = time.monotonic() - begun
+    took_s = time.process_time() - begun
     again.leave("failed", "left for the test")
     assert recovery.saved == 672
-    # measured 0.15 s; R8 asks for 2 s, and a loaded machine is given more
-    assert took_s < 4.0
+    # measured 0.15 s of CPU; R8 asks for 2 s, which the bench measures with frames of full size
+    assert took_s < 2.0
 
 
 def test_pause_longer_than_the_gap_repeats_the_group(unbroken, tmp_path: Path) -> None:
