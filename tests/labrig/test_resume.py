@@ -9,6 +9,7 @@ import signal
 import time
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -130,6 +131,20 @@ def interrupted(tmp_path: Path) -> Path:
     )
     assert finish.status.state is State.ABORTED
     return session.path
+
+
+def test_resume_asks_for_room_for_what_is_missing_alone(
+    unbroken, tmp_path: Path, monkeypatch
+) -> None:
+    path = interrupted(tmp_path)
+    free = int(6 * 1.1 * (2 * toy.SIZE**2 + 2048)) + 1
+    monkeypatch.setattr(shutil, "disk_usage", lambda _path: SimpleNamespace(free=free))
+    finish, _ = toy.capture(tmp_path / "whole")
+    assert finish.status.state is State.REFUSED
+    assert "make room" in finish.status.reason
+    finish, session = toy.resume(path)
+    assert finish.status.state is State.COMPLETED
+    same(session, unbroken)
 
 
 def test_an_aborted_session_is_sealed_and_can_still_be_resumed(unbroken, tmp_path: Path) -> None:
