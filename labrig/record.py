@@ -23,7 +23,7 @@ from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
 from labrig.rectify import Pictures
 from labrig.session import Session
-from labrig.steps import Decay, Explained, Separated
+from labrig.steps import POOR_FIT, Decay, Explained, Separated
 
 Array = NDArray[np.float64]
 
@@ -59,6 +59,8 @@ def run_of(outcome: Outcome) -> dict[str, Any]:
         parameters = (
             _joint_parameters(fit, outcome.decay, unit) if fit else alternatives["separated"]
         )
+        if outcome.joint is not None and outcome.joint.g_unknown:
+            parameters["g"] = {"value": None, "std": None, "assumed": parameters["g"]["value"]}
     return {
         "session": {
             "id": header.get("id", outcome.session.path.name),
@@ -130,11 +132,13 @@ def _alternatives(
 ) -> dict[str, Any]:
     """Return the paper's way, and what else could be fitted."""
     paper = explained.inversion
+    # Where the bounces explain the picture badly, what noise does to them says nothing.
+    spread = paper.covariance if paper.rms_relative < POOR_FIT else np.full((2, 2), np.nan)
     found: dict[str, Any] = {
         "separated": {
             **_decay_of(decay.attenuation, unit),
-            f"sigma_s_per_{unit}": _with_std(paper.sigma_s_per_mm, paper.covariance[0, 0]),
-            "g": _with_std(paper.g, paper.covariance[1, 1]),
+            f"sigma_s_per_{unit}": _with_std(paper.sigma_s_per_mm, spread[0, 0]),
+            "g": _with_std(paper.g, spread[1, 1]),
         }
     }
     for name, fit in (("extrema", decay.by_extrema), ("unseparated", decay.unseparated)):
@@ -210,6 +214,7 @@ def _joint_quality(fit: StripeAware) -> dict[str, Any]:
         "covariance": fit.covariance.tolist() if np.isfinite(fit.covariance).all() else None,
         "correlation": correlation.tolist() if np.isfinite(correlation).all() else None,
         "condition": fit.condition,
+        "profile_g": fit.profile_g.tolist(),
         "contrast": fit.contrast.tolist(),
         "at_limit": fit.at_limit,
         "depth_range": list(fit.depth_range_mm),
