@@ -360,7 +360,7 @@ def test_half_stale_picture_that_is_not_found_is_harmless(
         assert rms == 0.0
     else:
         # measured: all are found where 30 % of the light is modulated near the face. Below that
-        # 0.028, 0.020, 0.006 and 0.009 by number of shifts, of which noise alone makes 0.021, 0.018,
-        # 0.004 and 0.007: it is another one, for the exposure was interrupted
+        # 0.028, 0.020, 0.006 and 0.009 by number of shifts, of which 0.021, 0.018, 0.004 and 0.007
+        # is noise: it is another one, for the exposure was interrupted
         assert single_share <= 0.1
         assert rms < 0.03
