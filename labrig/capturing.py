@@ -80,6 +80,10 @@ def prepare_resume(path: Path, rig: OpenRig) -> Runner:
     expanded = expand(plan, rig.config)
     _refuse_other_plan(expanded, session)
     _refuse_other_devices(session.header, rig)
+    missing = set(session.missing)
+    # a group that lacks a shot is taken again as a whole
+    torn = [b for b in blocks_of(expanded.shots) if any(shot.id in missing for shot in b)]
+    left = [shot for block in torn for shot in block]
     before = next(
         (e["reference"] for e in reversed(session.events) if isinstance(e.get("reference"), dict)),
         None,
@@ -98,7 +102,7 @@ def prepare_resume(path: Path, rig: OpenRig) -> Runner:
         expanded,
         rig,
         open_session,
-        verdicts=lambda: check_all(expanded, rig.config, rig.latency, path),
+        verdicts=lambda: check_all(expanded, rig.config, rig.latency, path, left=left),
         references=References(plan, rig, before=before),
     )
 

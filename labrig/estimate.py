@@ -75,10 +75,15 @@ def discard_of(plan: Plan, latency_frames: int) -> int:
     return latency_frames if asked == "capability" else max(int(asked), latency_frames)
 
 
-def bytes_of(expanded: CapturePlan, rows: int, cols: int) -> int:
-    """Return the bytes of a session's frames and patterns."""
+def bytes_of(
+    expanded: CapturePlan, rows: int, cols: int, shots: Sequence[Shot] | None = None
+) -> int:
+    """Return the bytes of a session's frames and patterns; of some ``shots`` if these are given."""
+    frames = 2 * rows * cols + FILE_BYTES
+    if shots is not None:
+        return len(shots) * frames
     patterns = sum(image.nbytes // 50 for image in expanded.images.values())
-    return len(expanded.shots) * (2 * rows * cols + FILE_BYTES) + patterns + (1 << 20)
+    return len(expanded.shots) * frames + patterns + (1 << 20)
 
 
 def _seconds(plan: Plan, shots: Sequence[Shot], rig: Rig, wait_s: float) -> Seconds:

@@ -17,6 +17,7 @@ from labrig.thinned import Mask, Thinned, Thinner, typical
 
 RATIO_TOLERANCE = 0.03  # of brightness between two brackets of one pattern
 LAMP_TOLERANCE = 0.2  # and between two frames of one exposure, for a lamp drifts
+WRONG_STRIPES = 0.1  # of the stripes of one picture among an odd number
 ALIKE, DIFFERENT = 2.0, 8.0  # chi^2 of two frames: one pattern gives 1, two that can be told more
 CLEAR = 36.0  # chi^2 of one pixel whose change is no noise, even if that is twice what is stated
 MANY_GROUPS = 16  # brackets that alternate; of older groups all shifts have been seen
@@ -124,7 +125,7 @@ class Looks:
         return None if found is None else self._contradiction(shot.group, found)
 
     def _contradiction(self, group: str, found: Sums) -> str | None:
-        if found.residual > self._limits.shift_residual:
+        if found.residual > self._limits.shift_residual or found.stripes > WRONG_STRIPES:
             return (
                 f"group {group}: {found.worst}, by {100.0 * found.residual:.1f} % of the light; "
                 "one of them saw another pattern, or two, or another exposure."

@@ -5,14 +5,14 @@ from __future__ import annotations
 import operator
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from labrig.errors import LabrigError, PlanError, RunError
 from labrig.estimate import bytes_of
 from labrig.models.latency import LatencyRecord
-from labrig.models.plan import Plan
+from labrig.models.plan import Plan, Shot
 from labrig.models.rig import Rig
 from labrig.plan import CapturePlan, kinds_of_stripes
 
@@ -38,15 +38,23 @@ class Verdict:
 
 
 def check_all(
-    expanded: CapturePlan, rig: Rig, latency: LatencyRecord | None, out: Path
+    expanded: CapturePlan,
+    rig: Rig,
+    latency: LatencyRecord | None,
+    out: Path,
+    *,
+    left: Sequence[Shot] | None = None,
 ) -> list[Verdict]:
-    """Return every verdict that needs no device, in the order an operator would ask."""
+    """Return every verdict that needs no device, in the order an operator would ask.
+
+    ``left`` are the shots that a session still lacks; else there must be room for all.
+    """
     return [
         _axis(expanded),
         *_exposures(expanded, rig),
         *_wishes(expanded.plan, rig),
         _latency(expanded.plan, latency),
-        _room(expanded, rig, out),
+        _room(expanded, rig, out, left),
     ]
 
 
@@ -135,8 +143,8 @@ def _latency(plan: Plan, latency: LatencyRecord | None) -> Verdict:
     return Verdict(name="latency", ok=True, text=text)
 
 
-def _room(expanded: CapturePlan, rig: Rig, out: Path) -> Verdict:
-    wanted = RESERVE_SHARE * bytes_of(expanded, rig.camera.rows, rig.camera.cols)
+def _room(expanded: CapturePlan, rig: Rig, out: Path, left: Sequence[Shot] | None) -> Verdict:
+    wanted = RESERVE_SHARE * bytes_of(expanded, rig.camera.rows, rig.camera.cols, left)
     place = next(p for p in (out.absolute(), *out.absolute().parents) if p.is_dir())
     free = shutil.disk_usage(place).free
     text = f"{wanted / 1e6:.0f} MB wanted, {free / 1e6:.0f} MB free in {place}"

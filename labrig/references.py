@@ -45,6 +45,7 @@ class References:
         self._images: dict[str, Image] = {}
         self._exposure_s = 0.0
         self._only_exposure = self._tested = False
+        self._tries = 0
         light = None if before is None else before.get("light_dn")
         self._light_dn = light if isinstance(light, int | float) else None
 
@@ -88,11 +89,15 @@ class References:
     def measure(self, sequencer: Sequencer, cancel: CancelToken) -> Measured:
         """Take a white and a black frame, and compare them with the last ones."""
         levels, notes = {}, []
-        if self._only_exposure and not self._tested:
-            notes = self._test_response(sequencer, cancel)
+        testing = self._only_exposure and not self._tested
+        if testing:
+            self._take_other_exposure(sequencer, cancel)
         for name in self._own:
             taken = sequencer.attempt(self._shot(name, self._exposure_s), cancel, again=False)
             levels[f"{name}_dn"] = float(np.mean(taken.frame.pixels))
+            if testing and name == "white":
+                self._tested = True
+                notes = [_tested(taken.details.get("bracket_ratio"))]
         light_dn = levels["white_dn"] - levels["black_dn"]
         levels["light_dn"] = light_dn
         before_dn, self._light_dn = self._light_dn, light_dn
@@ -105,28 +110,18 @@ class References:
         text = f"reference light {light_dn:.1f} DN, {100 * change:+.2f} % since the last one"
         return Measured(levels=levels, changed=changed, text="; ".join([text, *notes]))
 
-    def _test_response(self, sequencer: Sequencer, cancel: CancelToken) -> list[str]:
-        """Take white at two exposures, where the plan has one: its light must follow them.
+    def _take_other_exposure(self, sequencer: Sequencer, cancel: CancelToken) -> None:
+        """Take white at another exposure, where the plan has one: light must follow exposure.
 
-        Nothing else in a plan of one exposure would tell a bent response from a linear one where
-        stripes are sharp. Looks refuses the frames if their ratio is off.
+        Nothing else in such a plan would tell a bent response from a linear one where stripes are
+        sharp. The white picture that comes next is refused if their ratio is off.
         """
         low, _ = self._rig.camera_can.exposure_range_s
-        other_s = 0.5 * self._exposure_s
-        if other_s < low:
-            other_s = 2.0 * self._exposure_s
-        sequencer.attempt(self._shot("white", self._exposure_s), cancel, again=False)
-        shot = self._shot("white", other_s)
-        taken = sequencer.attempt(
-            shot.model_copy(update={"id": "response-white"}), cancel, again=False
-        )
-        self._tested = True
-        ratio = taken.details.get("bracket_ratio")
-        if ratio is None:
-            return [
-                "the camera's response was not tested: too little light between black and white"
-            ]
-        return [f"white at {other_s:g} s is {ratio:.3f} times as bright as expected"]
+        half_s, double_s = 0.5 * self._exposure_s, 2.0 * self._exposure_s
+        shot = self._shot("white", half_s if half_s >= low else double_s)
+        self._tries += 1
+        shot = shot.model_copy(update={"id": f"response-white-{self._tries}"})
+        sequencer.attempt(shot, cancel, again=False)
 
     def _shot(self, name: str, exposure_s: float) -> Shot:
         return Shot(
@@ -146,3 +141,10 @@ class References:
         wait_s = can.latency_s[1] + settle_of(self._plan, can.settle_s)
         each_s = wait_s + self._rig.camera_can.readout_s
         return sum(shot.exposure_s for shot in shots) + len(shots) * each_s
+
+
+def _tested(ratio: float | None) -> str:
+    """Return in words what white at another exposure said of the camera's response."""
+    if ratio is None:
+        return "the camera's response was not tested, for white light is too dark or too bright"
+    return f"white follows the exposure within {100.0 * abs(ratio - 1.0):.1f} %"

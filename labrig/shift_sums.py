@@ -28,11 +28,14 @@ class Sums:
     Attributes
     ----------
     residual : rms of what does not add up as a share of the light, zero where noise explains it
+    stripes : share of one picture's stripes found in the mean of an odd number of shifts, zero
+        where noise explains it: how wrong one picture is, however little of the light stripes are
     worst : which shifts, in words
     brightness : of the shifts over what white and black let expect; None without these
     """
 
     residual: float
+    stripes: float
     worst: str
     brightness: float | None
 
@@ -87,6 +90,7 @@ def _of_pairs(light: Array, variance: Array, half: tuple[Array, Array] | None) -
     worst = int(excess[:n].argmax())
     return Sums(
         residual=float(np.sqrt(excess[:n].max() / power)),
+        stripes=0.0,
         worst=f"shifts {worst} and {worst + n} do not add up as the others do"
         if n > 1
         else "shifts 0 and 1 do not add up to white and black",
@@ -112,13 +116,14 @@ def _of_odd(light: Array, variance: Array, half: tuple[Array, Array]) -> Sums | 
     rest = mean - brightness * even
     left = rest * stripes.conj()
     unsure = np.sqrt(np.mean(np.abs(left) ** 2) / even.size) / seen
-    # one frame's fault is spread over the mean of N; told as large as in the sum of a pair
     found = float(abs(left.mean())) / seen
-    share = found * 0.5 * n * np.sqrt(0.5 * seen / power) / brightness
+    # one frame's fault is spread over the mean of N; told as large as in the sum of a pair
+    wrong = 0.5 * n * found if found > SURE * unsure else 0.0
     # harmonics that the mean keeps make it uneven, and few pixels may not average that out
     uneven = np.sqrt(np.mean((rest * even) ** 2) / even.size) / power
     return Sums(
-        residual=float(share) if found > SURE * unsure else 0.0,
+        residual=wrong * float(np.sqrt(0.5 * seen / power)) / brightness,
+        stripes=wrong,
         worst=f"the mean of the {n} shifts still has their stripes",
         brightness=brightness if uneven < UNEVEN else None,
     )

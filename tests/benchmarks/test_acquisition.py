@@ -1,5 +1,6 @@
 """What a capture costs beyond waiting for light: `make bench`. In `make test` at toy size."""
 
+import shutil
 import time
 from itertools import pairwise
 from pathlib import Path
@@ -10,7 +11,9 @@ import pytest
 
 from drivers.simulation.sensor import Noise
 from labrig.capturing import prepare
+from labrig.catalogue import catalogue
 from labrig.config import parse
+from labrig.errors import SessionLockedError
 from labrig.models.plan import Plan
 from labrig.models.rig import Rig
 from labrig.models.scene import Scene
@@ -18,6 +21,7 @@ from labrig.rig import connect
 from labrig.run_state import Command, State
 from labrig.sequence import Step
 from labrig.session_items import Item
+from labrig.session_recovery import reopen
 from labrig.session_writer import SessionWriter
 
 SCENE = {
@@ -157,3 +161,63 @@ def test_commit_costs_little_cpu(benchmark, group, tmp_path: Path):
         # R8 asks for 5, on a quiet machine; measured 4.5 and 6.2 ms at a load of 24
         assert cpu_s / n < 0.008
         assert n / took_s > 15.0
+
+
+def filled(root: Path, shape: tuple[int, int], n: int) -> SessionWriter:
+    """A session of n frames, still being written."""
+    pixels = np.random.default_rng(1).integers(0, 4096, shape, dtype=np.uint16)
+    shots = [f"s{k}" for k in range(n)]
+    writer = SessionWriter.create(root, "bench", {"shots": [{"id": shot} for shot in shots]})
+    for first in range(0, n, 8):
+        writer.keep(
+            [
+                Item(event="commit", shot=shot, attempt=1, pixels=pixels)
+                for shot in shots[first : first + 8]
+            ]
+        )
+    return writer
+
+
+def test_recovery_and_refusal_of_a_second_writer(benchmark, tmp_path: Path):
+    """A session of 672 frames of 1.2 MP: every file is read again and held to its digest."""
+    shape, n = ((24, 32), 16) if benchmark.disabled else ((960, 1280), 672)
+    writer = filled(tmp_path, shape, n)
+    begun_s = time.monotonic()
+    with pytest.raises(SessionLockedError):
+        reopen(writer.path)
+    refused_s = time.monotonic() - begun_s
+    writer.leave("failed", "left for the benchmark")
+    begun_s, cpu_s = time.monotonic(), time.process_time()
+    again, recovery = benchmark.pedantic(reopen, (writer.path,), rounds=1)
+    took_s, cpu_s = time.monotonic() - begun_s, time.process_time() - cpu_s
+    again.leave("failed", "left for the benchmark")
+    assert recovery.saved == n
+    if benchmark.enabled:
+        print(  # noqa: T201
+            f"\nsecond writer refused in {1e3 * refused_s:.1f} ms (R6 asks for 100); {n} frames "
+            f"recovered in {took_s:.2f} s, {cpu_s:.2f} s of CPU (R8 asks for 2)"
+        )
+        assert cpu_s < 4.0
+
+
+def test_catalogue_of_500_sessions(benchmark, tmp_path: Path):
+    n = 5 if benchmark.disabled else 500
+    writer = filled(tmp_path / "one", (24, 32), 24)
+    writer.close()
+    for k in range(n):
+        folder = tmp_path / "2026-11-22" / f"{k:06d}_s_0000"
+        folder.mkdir(parents=True)
+        for name in ("session.json", "journal.jsonl", "SEAL.json"):
+            shutil.copy(writer.path / name, folder / name)
+    begun_s = time.monotonic()
+    entries = benchmark.pedantic(catalogue, (tmp_path,), rounds=1)
+    took_s = time.monotonic() - begun_s
+    assert len(entries) == n
+    if benchmark.enabled:
+        begun_s = time.monotonic()
+        catalogue(tmp_path)
+        print(  # noqa: T201
+            f"\n{n} sessions listed in {took_s:.2f} s from nothing (R12 asks for 5), "
+            f"{time.monotonic() - begun_s:.2f} s from the index"
+        )
+        assert took_s < 10.0

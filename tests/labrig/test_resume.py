@@ -9,6 +9,7 @@ import signal
 import time
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -132,6 +133,20 @@ def interrupted(tmp_path: Path) -> Path:
     return session.path
 
 
+def test_resume_asks_for_room_for_what_is_missing_alone(
+    unbroken, tmp_path: Path, monkeypatch
+) -> None:
+    path = interrupted(tmp_path)
+    free = int(6 * 1.1 * (2 * toy.SIZE**2 + 2048)) + 1
+    monkeypatch.setattr(shutil, "disk_usage", lambda _path: SimpleNamespace(free=free))
+    finish, _ = toy.capture(tmp_path / "whole")
+    assert finish.status.state is State.REFUSED
+    assert "make room" in finish.status.reason
+    finish, session = toy.resume(path)
+    assert finish.status.state is State.COMPLETED
+    same(session, unbroken)
+
+
 def test_an_aborted_session_is_sealed_and_can_still_be_resumed(unbroken, tmp_path: Path) -> None:
     path = interrupted(tmp_path)
     assert (path / "SEAL.json").exists()
@@ -214,13 +229,13 @@ def test_r8_recovery_of_672_frames_is_quick(tmp_path: Path) -> None:
             ]
         )
     writer.leave("failed", "left for the test")
-    begun = time.monotonic()
+    begun = time.process_time()
     again, recovery = reopen(writer.path)
-    took_s = time.monotonic() - begun
+    took_s = time.process_time() - begun
     again.leave("failed", "left for the test")
     assert recovery.saved == 672
-    # measured 0.15 s; R8 asks for 2 s, and a loaded machine is given more
-    assert took_s < 4.0
+    # measured 0.15 s of CPU; R8 asks for 2 s, which the bench measures with frames of full size
+    assert took_s < 2.0
 
 
 def test_pause_longer_than_the_gap_repeats_the_group(unbroken, tmp_path: Path) -> None:

@@ -63,6 +63,7 @@ def test_sound_shifts_add_up(shifts, period_px, single_share, blur_px) -> None:
     found = sums(*shown(shifts, period_px, single_share, blur_px))
     # measured: nothing above noise, and 4e-4
     assert found.residual < 0.005
+    assert found.stripes == 0.0
     assert abs(found.brightness - 1.0) < 0.002
 
 
@@ -72,7 +73,10 @@ def test_half_stale_picture_does_not_add_up(shifts, period_px, at) -> None:
     light, lit = shown(shifts, period_px, 0.5, 1.0)
     light[at] = 0.5 * (light[at] + light[at - 1])
     # measured 0.19 (two shifts), 0.15 (four), 0.059, 0.057 and 0.035 (three, five and nine)
-    assert sums(light, lit).residual > 0.03
+    found = sums(light, lit)
+    assert found.residual > 0.03
+    # measured 0.19, 0.14 and 0.084 of the stripes for three, five and nine
+    assert shifts % 2 == 0 or found.stripes > 0.08
 
 
 @pytest.mark.parametrize("shifts", [2, 3, 4, 6])

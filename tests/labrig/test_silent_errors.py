@@ -212,8 +212,9 @@ def test_gamma_is_found_at_a_single_exposure_of_sharp_stripes(tmp_path: Path) ->
     state, session, problems = spoilt_by(tmp_path, gamma, exposures={"bracket_s": [0.1]})
     assert state is State.FAILED
     assert not session.frames
-    # half the light gives 2^(-1/2.2) = 0.730 of the counts, 1.46 times what was expected
-    assert any("1.46" in p and "response is not the one declared" in p for p in problems)
+    # twice the light gives 2^(1/2.2) = 1.37 times the counts, 0.685 of what was expected
+    assert any(" 0.68" in p and "response is not the one declared" in p for p in problems)
+    assert not any("noise forbids" in p for p in problems)
 
 
 def notes(session: Session) -> str:
@@ -263,15 +264,20 @@ def test_two_shifts_and_odd_ones_are_held_to_white_and_black(
 
 
 @pytest.mark.parametrize("kind", ["wrong-pattern", "projector-late"])
-def test_wrong_picture_at_the_first_bracket_is_found_by_the_second(kind, tmp_path: Path) -> None:
+def test_wrong_picture_at_the_first_bracket_is_found_later(kind, tmp_path: Path) -> None:
     """With the pattern outermost the next picture is that of the same pattern."""
     plan = {"order": {"outer": "pattern"}, **stripes(3, 12), "exposures": {"bracket_s": [0.1, 0.2]}}
     _, sound = toy.capture(tmp_path / "sound", plan=plan)
     fault = {"kind": kind, "shot": "stripes-e0-r0-p00", "seconds": 0.08}
     finish, session = toy.capture(tmp_path / "faulty", fault, plan=plan)
     assert finish.status.state is State.COMPLETED, finish.status.reason
-    # the second bracket is refused three times, then both are taken again
-    assert causes(session) == {"wrong-pattern" if kind == "wrong-pattern" else "wrong-exposure"}
+    if kind == "projector-late":
+        # the second bracket is refused three times, then both are taken again
+        assert causes(session) == {"wrong-exposure"}
+    else:
+        # no bracket has the pattern; the shifts do not add up
+        assert causes(session) == set()
+    assert {e["shot"] for e in session.events if e["event"] == "void"} >= {"stripes-e0-r0-p00"}
     for shot, expected in toy.pixels(sound).items():
         np.testing.assert_array_equal(session.read(shot), expected)
 
@@ -333,26 +339,28 @@ def test_saturated_pixels_prove_nothing(tmp_path: Path, monkeypatch) -> None:
 
 
 @pytest.mark.parametrize("single_share", [0.3, 0.1, 0.03, 0.01])
-@pytest.mark.parametrize("shifts", [2, 3, 4])
+@pytest.mark.parametrize(("shifts", "period_px"), [(2, 12), (3, 12), (4, 16), (5, 20)])
 def test_half_stale_picture_that_is_not_found_is_harmless(
-    shifts, single_share, tmp_path: Path, monkeypatch
+    shifts, period_px, single_share, tmp_path: Path, monkeypatch
 ) -> None:
     """What passes changes the separated light by less than the limit, as a share of white."""
     monkeypatch.setattr(toy, "light", thick(single_share))
-    plan = stripes(shifts, 16 if shifts == 4 else 12)
-    fault = {"kind": "projector-late", "shot": "stripes-e0-r0-p00", "seconds": 0.08}
+    plan = stripes(shifts, period_px)
+    fault = {"kind": "projector-late", "shot": "stripes-e0-r0-p01", "seconds": 0.08}
     finish, session = toy.capture(tmp_path / "faulty", fault, plan=plan)
     assert finish.status.state is State.COMPLETED, finish.status.reason
     _, sound = toy.capture(tmp_path / "sound", plan=plan)
     found, expected = (
         np.array([s.read(shot["id"]) for shot in s.shots]).astype(float) for s in (session, sound)
     )
-    # the noise of a frame follows from its name: what differs is the pattern alone
     white = expected.mean(axis=0).max() - 16.0
     error = np.abs(np.ptp(found, axis=0) - np.ptp(expected, axis=0)) / white
     rms = float(np.sqrt(np.mean(error**2)))
     if any(e["event"] == "void" for e in session.events):
         assert rms == 0.0
     else:
+        # measured: all are found where 30 % of the light is modulated near the face. Below that
+        # 0.028, 0.020, 0.006 and 0.009 by number of shifts, of which 0.021, 0.018, 0.004 and 0.007
+        # is noise: it is another one, for the exposure was interrupted
         assert single_share <= 0.1
         assert rms < 0.03
