@@ -26,6 +26,8 @@ MIN_CELLS = 24  # across the tank
 MAX_CELLS = 120
 TAIL = 3e-3  # of the energy, in bounces left out
 MAX_BOUNCES = 200
+SPREADS = 3.0  # lengths over which diffuse light fades
+MOST_BESIDE = 3  # tanks to each side
 RESOLVED = 9e-3  # of g^(n/2), n directions
 PEAKED = 0.8  # a larger asymmetry is exchanged for this one
 
@@ -53,18 +55,31 @@ def side_wall_loss(
     n_x = max(16, round(tank.depth_mm / tank.width_mm * n_y))
     n_x = min(MAX_CELLS, n_x)
     with_walls = _waves(medium, tank, beam, (n_x, n_y), wavenumber_per_mm, origin_mm)
-    width = tank.width_mm
-    wide = Tank(depth_mm=tank.depth_mm, width_mm=3.0 * width)
-    profile = None if beam.profile is None else tuple((y + width, e) for y, e in beam.profile)
+    beside = _tanks_beside(medium, tank)
+    away, n_tanks = beside * tank.width_mm, 2 * beside + 1
+    wide = Tank(depth_mm=tank.depth_mm, width_mm=n_tanks * tank.width_mm)
+    profile = None if beam.profile is None else tuple((y + away, e) for y, e in beam.profile)
     middle = Beam(
-        from_mm=beam.from_mm + width,
-        to_mm=beam.to_mm + width,
+        from_mm=beam.from_mm + away,
+        to_mm=beam.to_mm + away,
         angle_deg=beam.angle_deg,
         profile=profile,
     )
-    without = _waves(medium, wide, middle, (n_x, 3 * n_y), wavenumber_per_mm, origin_mm + width)
+    cells_wide = (n_x, n_tanks * n_y)
+    without = _waves(medium, wide, middle, cells_wide, wavenumber_per_mm, origin_mm + away)
     nodes = np.linspace(0.0, tank.depth_mm, n_x + 1)
     return np.asarray(CubicSpline(nodes, with_walls - without, axis=1)(x_mm))
+
+
+def _tanks_beside(medium: Medium, tank: Tank) -> int:
+    """Return how many tanks to each side light spreads over where no wall is.
+
+    Diffuse light spreads over ``1 / sqrt(2 sigma_a (sigma_t - g sigma_s))`` in a plane.
+    """
+    absorbed = medium.sigma_t_per_mm - medium.sigma_s_per_mm * power_removed(medium.g, medium.phase)
+    kept = medium.sigma_t_per_mm - medium.g * medium.sigma_s_per_mm
+    spread_mm = 1.0 / math.sqrt(2.0 * max(absorbed, 1e-3 * kept) * kept)
+    return min(MOST_BESIDE, max(1, math.ceil(SPREADS * spread_mm / tank.width_mm)))
 
 
 def _waves(
