@@ -9,7 +9,7 @@ import typer
 from rich.table import Table
 
 import labrig
-from labrig.cli.say import AsJson, bars, one, out_console, say, say_json
+from labrig.cli.say import AsJson, bars, out_console, say, say_json
 from labrig.config import config_folder
 from labrig.simulating import Simulation, simulate, told_as_json, write_simulation
 
@@ -39,7 +39,7 @@ def simulate_(
             shown,
             force=tuple(force or ()),
             explained=explain,
-            progress=one(follow, "light"),
+            progress=follow,
         )
     if out is not None:
         write_simulation(out, found)

@@ -22,7 +22,10 @@ def camera_of(about: Situation | Parts) -> SimulatedCameraConfig:
     """Return the simulated camera; a real one brings its own effects."""
     camera = about.rig.camera
     if not isinstance(camera, SimulatedCameraConfig):
-        msg = f"rig {about.rig.name!r} has a real camera, whose sensor is not simulated."
+        msg = (
+            f"rig {about.rig.name!r} has a real camera, whose sensor is not simulated; choose a "
+            "rig with a simulated one, or leave the sensor's effects out."
+        )
         raise PlanError(msg)
     return camera
 
