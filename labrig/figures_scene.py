@@ -17,8 +17,8 @@ from labrig.figures import BLUE, RED, STYLE, WIDTH_IN
 from labrig.realism import Realism
 from labrig.scene.answer import Array
 
-TEXT_COLS = 84  # characters of a line beside a picture
-PICTURE_IN = (2.4, 1.8)  # of the contact sheet, width and height
+TEXT_COLS = 96  # characters of a line beside a picture
+PICTURE_IN = (2.0, 1.5)  # of the contact sheet, width and height
 GAP_IN = 0.14  # between its pictures
 BAR_MM = 20.0  # length of its scale bar
 GREY = "#6b727a"
@@ -27,14 +27,13 @@ Place = tuple[int, float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Card:
-    """One scene of a gallery: its picture, what is in it, and what it took."""
+    """One scene of a gallery: its picture, what is in it, and lines on what is not and its cost."""
 
     name: str
     picture: Array
     mm_per_px: float
     used: Sequence[str]
-    left_out: Sequence[str]
-    cost: str
+    foot: Sequence[str]
 
 
 def realism_figure(realism: Realism) -> Figure:
@@ -173,12 +172,10 @@ def _write_card(panel: Axes, card: Card) -> None:
     panel.set_axis_off()
     panel.text(0.0, 1.0, card.name, va="top", fontsize=11, fontweight="bold")
     panel.text(0.0, 0.84, _wrapped(", ".join(card.used)), va="top", fontsize=8.5, linespacing=1.4)
-    left = ", ".join(card.left_out)
-    foot = _wrapped(f"left out: {left}" if left else "nothing left out")
     panel.text(
         0.0,
         0.0,
-        f"{foot}\n{_wrapped(card.cost)}",
+        "\n".join(_wrapped(line) for line in card.foot),
         va="bottom",
         fontsize=8.5,
         color=GREY,

@@ -89,6 +89,7 @@ def told_as_json(found: Simulation) -> dict[str, Any]:
             "used": decision.used,
             "bound": decision.bound if np.isfinite(decision.bound) else None,
             "why": decision.why,
+            "cost": decision.effect.cost,
         }
         if decision.name in told:
             one = told[decision.name]
@@ -101,6 +102,7 @@ def told_as_json(found: Simulation) -> dict[str, Any]:
         "transport": summary["transport"],
         "bounces": summary["bounces"],
         "transport_seconds": found.seen.transport_s,
+        "noise_percent": 100.0 * found.seen.picture.noise(),
         "seconds": found.seconds,
         "effects": effects,
     }

@@ -41,22 +41,25 @@ def card(name: str, folder: Path) -> Card:
     seconds, answer = found.seconds - found.seen.transport_s, picture.answer
     cost = f"{seconds:.2g} CPU s for two pictures"
     if answer is not None:
-        cost += f"; bounces 2 .. {answer.n_bounces} by {answer.method}, {answer.seconds:.0f} s once"
+        cost += f"; {answer.seconds:.0f} CPU s, once, for bounces 2 .. {answer.n_bounces}"
+        cost += f" by {answer.method}"
     decisions = found.seen.decisions
+    left_out = [f"{d.name} (at most {100.0 * d.bound:.2g} %)" for d in decisions if _spared(d)]
+    idle = [d.name for d in decisions if not d.used and d.bound == 0.0]
+    foot = [f"left out: {', '.join(left_out)}"] if left_out else []
+    foot += [f"nothing to do for: {', '.join(idle)}"] if idle else []
     return Card(
         name=name,
         picture=frame[y : y + height, x : x + width],
         mm_per_px=rig.geometry.mm_per_px or 1.0,
         used=[d.name for d in decisions if d.used],
-        left_out=[_bounded(d) for d in decisions if not d.used],
-        cost=cost,
+        foot=[*foot, cost],
     )
 
 
-def _bounded(decision: Decision) -> str:
-    """Return the name of an effect that is left out, and what it would change at most."""
-    at_most = f"at most {100.0 * decision.bound:.2g} %" if decision.bound else "nothing to do"
-    return f"{decision.name} ({at_most})"
+def _spared(decision: Decision) -> bool:
+    """Tell whether an effect is left out that would change something."""
+    return not decision.used and decision.bound > 0.0
 
 
 if __name__ == "__main__":
