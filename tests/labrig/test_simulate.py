@@ -228,6 +228,10 @@ def test_of_every_effect_it_is_told_what_it_changes_and_costs(rig):
     grey = {"schema": "labrig-plan/1", "name": "grey", "exposures": {"bracket_s": [0.2]}}
     sets = [{"id": "stripes", "pattern": stripes}, {"id": "white", "pattern": {"kind": "uniform"}}]
     plan = parse({**grey, "sets": sets}, labrig.Plan, source="plan")
+    camera = rig.camera.model_copy(update={"rows": 80, "cols": 96})
+    view = {"mm_per_px": 0.4, "region_px": (10, 10, 75, 60)}
+    geometry = rig.geometry.model_copy(update=view)
+    rig = rig.model_copy(update={"camera": camera, "geometry": geometry})
     few = {"n_paths": 1000, "cell_mm": 2.0}
     scene = scene_of(EVERY, tolerance=1e-3, transport={**few, "tail": 0.1})
     found = simulate(scene, rig, plan, explained=True)
