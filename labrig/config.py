@@ -157,6 +157,8 @@ def _explain(error: ValidationError, model: type[BaseModel], source: str) -> str
     if first["type"] == "missing":
         return _one_line(f"{source}: key {key!r} is missing.{more}")
     message = str(first["msg"]).removeprefix("Value error, ")
+    if first["type"] == "model_type":
+        message = "a mapping of its own keys is wanted"
     shown = ""
     if not isinstance(first["input"], dict | BaseModel):
         shown = f" (found {reprlib.repr(first['input'])[:80]})"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from labrig.models.plan import Plan
 from labrig.models.rig import Rig
 from labrig.models.scene import Scene
 from labrig.results import Field, write_fields
-from labrig.scene.explain import Told, explain, lit_images
+from labrig.scene.explain import Progress, Told, explain, lit, lit_images
 from labrig.scene.pipeline import Seen, see
 
 Array = NDArray[np.float64]
@@ -49,7 +48,7 @@ def simulate(
     *,
     force: tuple[str, ...] = (),
     explained: bool = False,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Simulation:
     """Return the lit pictures of a plan, one of each kind of pattern, without noise.
 
@@ -57,7 +56,7 @@ def simulate(
     ----------
     force : names of effects that are used although the tolerance could do without them
     explained : whether to measure what each effect does; it takes several times as long
-    progress : called with (done, all) by what makes multiple scattering
+    progress : called with (what, done, all) while light and effects are worked on
 
     Raises
     ------
@@ -65,11 +64,17 @@ def simulate(
         If scene, rig and plan do not fit one another.
     """
     begun_s = time.process_time()
-    seen = see(scene, rig, plan, force=force, progress=progress)
-    black = seen.picture.black_level
-    light = {name: seen.picture.light(i, black) for name, i in lit_images(plan, rig).items()}
+    follow = progress or (lambda _what, _done, _total: None)
+    seen = see(
+        scene,
+        rig,
+        plan,
+        force=force,
+        progress=lambda done, total: follow("light", done, total),
+    )
+    light = lit(seen.picture, lit_images(plan, rig))
     took_s = time.process_time() - begun_s
-    told = tuple(explain(scene, rig, plan, seen)) if explained else ()
+    told = tuple(explain(scene, rig, plan, seen, follow)) if explained else ()
     return Simulation(scene=scene, seen=seen, light=light, told=told, seconds=took_s)
 
 
@@ -84,6 +89,7 @@ def told_as_json(found: Simulation) -> dict[str, Any]:
             "used": decision.used,
             "bound": decision.bound if np.isfinite(decision.bound) else None,
             "why": decision.why,
+            "cost": decision.effect.cost,
         }
         if decision.name in told:
             one = told[decision.name]
@@ -96,6 +102,7 @@ def told_as_json(found: Simulation) -> dict[str, Any]:
         "transport": summary["transport"],
         "bounces": summary["bounces"],
         "transport_seconds": found.seen.transport_s,
+        "noise_percent": 100.0 * found.seen.picture.noise(),
         "seconds": found.seconds,
         "effects": effects,
     }

@@ -14,6 +14,7 @@ import labrig
 from labrig.cli.say import AsJson, bars, out_console, say, say_json
 from labrig.config import config_folder
 from labrig.costs import Costs, Run, write_csv
+from labrig.errors import RunError
 from labrig.realism import cost_of_realism
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ def solver(
     from labrig.accuracy import cost_of_accuracy  # noqa: PLC0415 - and the solver with it
 
     wanted = labrig.load_scene(scene)
-    out.mkdir(parents=True, exist_ok=True)
+    _make(out)
     with bars() as follow:
         costs = cost_of_accuracy(wanted, orders=orders, progress=follow)
     table, stem = out / "solver.csv", out / "solver"
@@ -90,7 +91,7 @@ def capture(
             wanted,
             progress=follow,
         )
-    out.mkdir(parents=True, exist_ok=True)
+    _make(out)
     table, stem = out / "capture.csv", out / "capture"
     accuracy_capture.write_csv(costs, table)
     from labrig.figures import save  # noqa: PLC0415 - matplotlib takes a second to load
@@ -111,6 +112,18 @@ def capture(
         say(f"cheapest that reaches it: {best.kind}, {best.setting}, {best.seconds:.1f} s")
     say(f"table   {table}")
     say(f"figure  {stem.with_suffix('.png')}")
+
+
+def _make(out: Path) -> None:
+    """Make the folder to write to, before anything is measured."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        msg = (
+            f"{out}: no folder can be made ({error.strerror or error}); name another place with "
+            "--out."
+        )
+        raise RunError(msg) from error
 
 
 def _told(one: Priced) -> dict[str, object]:
@@ -169,7 +182,7 @@ def scene_(
     """Measure a picture's error and CPU seconds as a scene's effects are added one by one."""
     wanted, shown = labrig.load_scene(scene), labrig.load_plan(plan)
     apparatus = labrig.load_rig(rig or config_folder() / "rigs" / "simulated.yaml")
-    out.mkdir(parents=True, exist_ok=True)
+    _make(out)
     with bars() as follow:
         realism = cost_of_realism(wanted, apparatus, shown, follow)
     stem = out / "scene"
@@ -181,10 +194,11 @@ def scene_(
         say_json({**asdict(realism), "figure": str(stem.with_suffix(".png"))})
         return
     table = Table(title=f"{realism.scene}, tolerance {realism.tolerance:g}")
-    for heading in ("added", "CPU s", "error"):
+    for heading in ("added", "CPU s", "and once", "error"):
         table.add_column(heading, justify="left" if heading == "added" else "right")
     for step in realism.steps:
-        table.add_row(step.name, f"{step.seconds:.3g}", f"{step.error:.2g}")
+        once = f"{step.transport_s:.3g}" if step.transport_s else ""
+        table.add_row(step.name, f"{step.seconds:.3g}", once, f"{step.error:.2g}")
     out_console.print(table)
     say(f"left out: at most {realism.left_out:.2g}")
     say(f"figure  {stem.with_suffix('.png')}")

@@ -9,7 +9,7 @@ import typer
 from rich.table import Table
 
 import labrig
-from labrig.cli.say import AsJson, bars, one, out_console, say, say_json
+from labrig.cli.say import AsJson, bars, out_console, say, say_json
 from labrig.config import config_folder
 from labrig.simulating import Simulation, simulate, told_as_json, write_simulation
 
@@ -39,7 +39,7 @@ def simulate_(
             shown,
             force=tuple(force or ()),
             explained=explain,
-            progress=one(follow, "light"),
+            progress=follow,
         )
     if out is not None:
         write_simulation(out, found)
@@ -76,6 +76,9 @@ def _say_summary(found: Simulation) -> None:
     if kept is not None:
         state = "kept from before" if kept.from_cache else f"{found.seen.transport_s:.2f} s"
         origin = f"; multiple scattering by {kept.method} to order {kept.n_bounces} ({state})"
+        noise = found.seen.picture.noise()
+        if noise:
+            origin += f", whose noise is at most {100.0 * noise:.2g} % of the white picture"
     say(
         f"{found.scene.name}: {len(found.light)} pictures in {found.seconds:.2f} CPU s, {used} of "
         f"{named} effects used{origin}"

@@ -116,7 +116,7 @@ class DistortionConfig(Model):
 class LensBlurConfig(Model):
     """Standard deviation of the lens' Gaussian, camera px."""
 
-    sigma_px: NonNegative
+    sigma_px: float = Field(ge=0.0, le=100.0)
 
 
 class VignettingConfig(Model):

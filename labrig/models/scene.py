@@ -56,7 +56,12 @@ class TransportConfig(Model):
     n_paths: int = Field(3_000_000, ge=1000)
     cell_mm: Positive = 0.5
     seed: int = 1
-    tail: float = Field(1e-3, gt=0.0, lt=1.0, description="albedo^K at which bounces end")
+    tail: float | None = Field(
+        None,
+        gt=0.0,
+        lt=1.0,
+        description="albedo^K at which bounces end; a fifth of the tolerance if left out",
+    )
 
 
 class Scene(Model):
@@ -88,6 +93,12 @@ class Scene(Model):
             raise ValueError(msg)
         self.beam_inside().record().entering(self.tank.record())
         return self
+
+    @property
+    def tail(self) -> float:
+        """Share of the light, albedo^K, that the last bounce K which is followed leaves."""
+        given = self.transport.tail
+        return self.tolerance / 5.0 if given is None else given
 
     def beam_inside(self) -> BeamConfig:
         """Return the beam as it is inside, by Snell's law where the scene names refraction."""

@@ -24,17 +24,21 @@ class Answer:
     ----------
     x_mm, y_mm : (n_x,), (n_y,), where the values stand: centres of cells, or nodes
     fluence : (K - 1, n_y, n_x), each bounce under white light, sigma_s^(k-1) applied
+    std_error : (K - 1, n_y, n_x), of the fluence where it was sampled; None where it was solved
     waves : by period in mm and harmonic h, (n_y, n_x); the sum of all bounces under light that
         enters as exp(i h q y), q = 2 pi / period, over exp(i h q (y - x tan(theta_0)))
     method : what computed it, montecarlo or ordinates
+    seconds : CPU, of computing it, be it now or when it was kept
     from_cache : whether nothing had to be computed
     """
 
     x_mm: Array
     y_mm: Array
     fluence: Array
+    std_error: Array | None
     waves: Mapping[tuple[float, int], Wave]
     method: str
+    seconds: float
     from_cache: bool
 
     @property

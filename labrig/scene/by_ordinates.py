@@ -9,6 +9,7 @@ scattered light does not reach them.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -37,7 +38,7 @@ def answer_by_ordinates(
     """Return a tank's answer to stripes of some periods (mm), each with its first harmonics."""
     medium, tank = scene.medium.record(), scene.tank.record()
     beam = scene.beam.record().entering(tank)
-    n_bounces = bounces_of(scene)
+    n_bounces, begun_s = bounces_of(scene), time.process_time()
     follow = progress or (lambda _done, _total: None)
     follow(0, N_TABLE + 1)
     white = solve(
@@ -63,8 +64,10 @@ def answer_by_ordinates(
         x_mm=x_mm,
         y_mm=y_mm,
         fluence=white.fluence[1:],
+        std_error=None,
         waves=waves,
         method="ordinates",
+        seconds=time.process_time() - begun_s,
         from_cache=False,
     )
 

@@ -117,6 +117,20 @@ class Picture:
             method="none" if answer is None else answer.method,
         )
 
+    def noise(self) -> float:
+        """Return the rms noise of the multiple scattering, of a white picture's rms; 0 if solved.
+
+        At most so much: the noise of the bounces is added up as if it were all the same.
+        """
+        answer = self.answer
+        if answer is None or answer.std_error is None:
+            return 0.0
+        truth = self.truth(0.0)
+        peak = self.parts.scene.light.peak_e_per_s * self.parts.transmission
+        noise = peak * answer.std_error.sum(axis=0)
+        light = truth.single + truth.multiple
+        return math.sqrt(float(np.mean(noise**2) / np.mean(light**2)))
+
     def _single(self, levels: Array) -> Array:
         if not self.parts.single:
             return np.zeros((self._places.y_mm.size, self._places.x_mm.size))

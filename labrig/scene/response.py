@@ -11,6 +11,7 @@ import json
 import math
 import os
 import tempfile
+import time
 import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
@@ -31,10 +32,14 @@ HIGHER_SHARE = 8  # harmonics beyond the first two are followed by n_paths over 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TankResponse:
-    """Scattered light of a scene: per bounce under white light, and per harmonic of the stripes."""
+    """Scattered light of a scene: per bounce under white light, and per harmonic of the stripes.
+
+    ``seconds`` are of the CPU, for computing it, be it now or when it was kept.
+    """
 
     field: SampledField
     n_bounces: int
+    seconds: float
     from_cache: bool
 
 
@@ -64,7 +69,7 @@ def bounces_of(scene: Scene) -> int:
             f"the light by {kept_share:.4g}, and no number of them is enough; choose hg-plane."
         )
         raise AnalysisError(msg)
-    return bounces_needed(kept_share, scene.transport.tail)
+    return bounces_needed(kept_share, scene.tail)
 
 
 def answer_by_montecarlo(
@@ -79,35 +84,33 @@ def answer_by_montecarlo(
 
     A plan without stripes is answered with those of a period as wide as the tank.
     """
-    waves = {}
-    white, from_cache = None, True
+    found: list[tuple[float, tuple[int, ...], TankResponse]] = []
     for period_mm, wanted in (harmonics or {scene.tank.width_mm: FIRST}).items():
         for some in (FIRST, tuple(h for h in wanted if h not in FIRST)):
-            if not some:
-                continue
-            found = tank_response(
-                scene,
-                period_mm=period_mm,
-                harmonics=some,
-                walls=walls,
-                progress=progress,
-                anew=anew,
-            )
-            white = white or found
-            from_cache = from_cache and found.from_cache
-            for harmonic, wave in zip(some, found.field.modulated, strict=True):
-                waves[period_mm, harmonic] = wave
-    if white is None:
-        msg = "every period has its first harmonics"
-        raise AssertionError(msg)
-    field = white.field
+            if some:
+                response = tank_response(
+                    scene,
+                    period_mm=period_mm,
+                    harmonics=some,
+                    walls=walls,
+                    progress=progress,
+                    anew=anew,
+                )
+                found.append((period_mm, some, response))
+    white = found[0][2].field
     return Answer(
-        x_mm=field.x_mm,
-        y_mm=field.y_mm,
-        fluence=field.fluence,
-        waves=waves,
+        x_mm=white.x_mm,
+        y_mm=white.y_mm,
+        fluence=white.fluence,
+        std_error=white.std_error,
+        waves={
+            (period_mm, harmonic): wave
+            for period_mm, some, response in found
+            for harmonic, wave in zip(some, response.field.modulated, strict=True)
+        },
         method="montecarlo",
-        from_cache=from_cache,
+        seconds=sum(response.seconds for _, _, response in found),
+        from_cache=all(response.from_cache for _, _, response in found),
     )
 
 
@@ -125,30 +128,18 @@ def tank_response(
     Computed once for a medium, tank, beam and period, then read from the cache folder. Harmonics
     beyond the usual ones hold so little light that a share of the paths serves them.
     """
-    medium = scene.medium.record()
     n_bounces = bounces_of(scene)
-    question: dict[str, object] = {
-        "version": VERSION,
-        "medium": scene.medium.model_dump(),
-        "tank": scene.tank.model_dump(),
-        "beam": scene.beam.model_dump(),
-        "transport": scene.transport.model_dump(),
-        "period_mm": period_mm,
-        "harmonics": harmonics,
-    }
-    if walls is not None:
-        question["walls"] = asdict(walls)
-    key = hashlib.sha256(json.dumps(question, sort_keys=True).encode()).hexdigest()[:24]
-    kept = cache_folder() / f"response-{key}.npz"
+    kept = cache_folder() / f"response-{_key(scene, period_mm, harmonics, walls)}.npz"
     if kept.is_file() and not anew:
-        found = _read(kept)
+        found = _read(kept, n_bounces)
         if found is not None:
-            return TankResponse(field=found, n_bounces=n_bounces, from_cache=True)
+            return found
     n_paths = scene.transport.n_paths
     if harmonics != FIRST:
         n_paths = max(n_paths // HIGHER_SHARE, 1000)
+    begun_s = time.process_time()
     sampled = simulate(
-        medium,
+        scene.medium.record(),
         scene.tank.record(),
         scene.beam.record(),
         n_bounces=n_bounces,
@@ -161,8 +152,26 @@ def tank_response(
         n_threads=os.cpu_count() or 1,
         progress=progress,
     )
-    _write(kept, sampled)
-    return TankResponse(field=sampled, n_bounces=n_bounces, from_cache=False)
+    seconds = time.process_time() - begun_s
+    response = TankResponse(field=sampled, n_bounces=n_bounces, seconds=seconds, from_cache=False)
+    _write(kept, response)
+    return response
+
+
+def _key(scene: Scene, period_mm: float, harmonics: tuple[int, ...], walls: Walls | None) -> str:
+    """Return the name of a question: a digest of all that its answer depends on."""
+    question: dict[str, object] = {
+        "version": VERSION,
+        "medium": scene.medium.model_dump(),
+        "tank": scene.tank.model_dump(),
+        "beam": scene.beam.model_dump(),
+        "transport": {**scene.transport.model_dump(), "tail": scene.tail},
+        "period_mm": period_mm,
+        "harmonics": harmonics,
+    }
+    if walls is not None:
+        question["walls"] = asdict(walls)
+    return hashlib.sha256(json.dumps(question, sort_keys=True).encode()).hexdigest()[:24]
 
 
 def cache_folder() -> Path:
@@ -172,17 +181,20 @@ def cache_folder() -> Path:
     return base / "labrig"
 
 
-def _read(path: Path) -> SampledField | None:
+def _read(path: Path, n_bounces: int) -> TankResponse | None:
     """Return what was kept, None if the file is damaged: it is only a cache."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
-            return SampledField(**{f.name: kept[f.name][()] for f in fields(SampledField)})
+            field = SampledField(**{f.name: kept[f.name][()] for f in fields(SampledField)})
+            seconds = float(kept["seconds"])
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
+    return TankResponse(field=field, n_bounces=n_bounces, seconds=seconds, from_cache=True)
 
 
-def _write(path: Path, sampled: SampledField) -> None:
+def _write(path: Path, response: TankResponse) -> None:
+    values = {f.name: getattr(response.field, f.name) for f in fields(SampledField)}
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
-        np.savez(part, **{f.name: getattr(sampled, f.name) for f in fields(SampledField)})
+        np.savez(part, **values, seconds=np.array(response.seconds))
     Path(part.name).replace(path)

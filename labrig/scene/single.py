@@ -52,7 +52,7 @@ def _mirrored(parts: Parts, places: Places) -> list[tuple[float, Places]]:
     face = 0.0
     if parts.face_index != 1.0:
         face = float(internal_reflectance(parts.face_index, np.array([math.cos(angle)]))[0])
-    found = []
+    sigma_t, found = parts.scene.medium.sigma_t_per_mm, []
     for m in range(FOLDS):
         x = m * tank.depth_mm + places.x_mm if m % 2 == 0 else (m + 1) * tank.depth_mm - places.x_mm
         for j in range(-FOLDS, FOLDS + 1) if angle else (0,):
@@ -60,10 +60,24 @@ def _mirrored(parts: Parts, places: Places) -> list[tuple[float, Places]]:
             if j % 2:
                 y = (j + 1) * tank.width_mm - places.y_mm
             share = wall ** ((m + 1) // 2 + abs(j)) * face ** (m // 2)
-            if (m or j) and share > FAINT:
-                place = Places(x_mm=np.asarray(x), y_mm=np.asarray(y), pixel_mm=places.pixel_mm)
+            place = Places(x_mm=np.asarray(x), y_mm=np.asarray(y), pixel_mm=places.pixel_mm)
+            least_mm = _least_path_mm(parts, place)
+            if (m or j) and share * math.exp(-sigma_t * least_mm) > FAINT:
                 found.append((share, place))
     return found
+
+
+def _least_path_mm(parts: Parts, places: Places) -> float:
+    """Return the shortest way of the beam to places; infinite where it does not come.
+
+    Height of entry and path run one way along either axis, so that corners tell.
+    """
+    y = np.array([places.y_mm.min() - places.pixel_mm, places.y_mm.max() + places.pixel_mm])
+    ray = rays(parts, y, np.array([places.x_mm.min(), places.x_mm.max()]))
+    beam = parts.scene.beam
+    if ray.entry_mm.min() > beam.to_mm or ray.entry_mm.max() < beam.from_mm:
+        return math.inf
+    return float(ray.path_mm.min())
 
 
 def _once(parts: Parts, levels: Array, places: Places) -> Array:

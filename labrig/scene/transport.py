@@ -38,6 +38,9 @@ def answer_of(
     analysis.errors.AnalysisError
         If the series of bounces has no end.
     """
+    from labrig.scene.response import bounces_of  # noqa: PLC0415 - kernels
+
+    bounces_of(parts.scene)  # refuses light without end before it is spread evenly
     if parts.isotropic and parts.scene.medium.g != 0.0:
         even = scattering_evenly(parts.scene.medium)
         scene = parts.scene.model_copy(update={"medium": even})

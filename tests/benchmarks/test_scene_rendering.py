@@ -38,7 +38,7 @@ def test_a_session_of_24_shots_is_rendered(benchmark, tmp_path):
     plan = parse(PLAN, labrig.Plan, source="plan")
     scene = scene_of("dilute-milk", toy)
     see(scene, rig, plan)  # the transport, if it was never computed
-    begun_s, wall_s = time.process_time(), time.perf_counter()
+    wall_s = time.perf_counter()
     shots, images = (expanded := expand(plan, rig)).shots, expanded.images
 
     def render() -> float:
@@ -57,15 +57,16 @@ def test_a_session_of_24_shots_is_rendered(benchmark, tmp_path):
     if toy:
         return
     wall_s = time.perf_counter() - wall_s
-    begun_s = time.process_time()
+    begun_s, captured_wall_s = time.process_time(), time.perf_counter()
     with labrig.open_rig(rig, scene, plan) as opened:
         labrig.capture(plan, opened, tmp_path)
     captured_s = time.process_time() - begun_s
+    captured_wall_s = time.perf_counter() - captured_wall_s
     print(  # noqa: T201
         f"\n24 shots: {rendered_s:.2f} CPU s rendered ({wall_s:.2f} s by the clock), "
-        f"{captured_s:.2f} CPU s captured and kept"
+        f"{captured_s:.2f} CPU s captured and kept ({captured_wall_s:.2f} s by the clock)"
     )
-    assert rendered_s < 5.0
+    assert rendered_s < 5.0  # CPU of all threads, which no other work lengthens much
 
 
 def test_the_ideal_scene_costs_next_to_nothing(benchmark):

@@ -12,9 +12,12 @@ import labrig
 from labrig.config import parse
 from labrig.errors import ConfigError, PlanError
 from labrig.realism import cost_of_realism
+from labrig.scene import transport
 from labrig.scene.decide import decide, situation_of
-from labrig.scene.explain import change, exposed, lit_images
+from labrig.scene.explain import begins_of, change, exposed, lit_images
 from labrig.scene.pipeline import Seen, see
+from labrig.scene.registry import ENTRIES
+from labrig.scene.response import bounces_needed, bounces_of
 from labrig.simulating import simulate, told_as_json
 
 SIX = labrig.config_folder() / "plans" / "six-shifts.yaml"
@@ -89,6 +92,33 @@ def test_the_ideal_scene_loads_neither_solver_nor_kernels():
     assert (told["transport"], told["bounces"]) == ("none", 1)
 
 
+def test_only_scenes_with_multiple_scattering_come_to_the_transport(rig, plan, monkeypatch):
+    calls, solved = [], transport.answer_of
+
+    def counted(*given, **named):
+        calls.append(given)
+        return solved(*given, **named)
+
+    monkeypatch.setattr(transport, "answer_of", counted)
+    single = {"single-scattering": "always", "walls": {"reflectance": 0.1}}
+    both = {"single-scattering": "always", "multiple-scattering": "auto"}
+    simulate(scene_of(single), rig, plan, explained=True)
+    simulate(scene_of(both, medium=THIN, tolerance=0.1), rig, plan, explained=True)
+    assert len(calls) == 0  # the tolerance does without it
+    simulate(scene_of(both), rig, plan)
+    assert len(calls) == 1
+
+
+def test_a_looser_tolerance_follows_no_more_bounces_and_no_more_waves():
+    before = 400
+    for tolerance in (1e-5, 1e-3, 5e-3, 0.05, 0.5):
+        bounces = bounces_of(scene_of(None, tolerance=tolerance))
+        assert bounces <= before
+        before = bounces
+    assert bounces_of(scene_of(None)) == bounces_needed(0.5, 1e-3)
+    assert bounces_of(scene_of(None, transport={"tail": 0.5})) == 2
+
+
 def test_forcing_all_that_was_left_out_changes_less_than_the_tolerance(rig, plan):
     scene = scene_of(FAINT, medium=THIN, tolerance=0.1)
     about, images = situation_of(scene, rig, plan), lit_images(plan, rig)
@@ -99,7 +129,7 @@ def test_forcing_all_that_was_left_out_changes_less_than_the_tolerance(rig, plan
     assert all(d.used for d in forced.decisions)
 
     def pictures(seen: Seen) -> dict[str, np.ndarray]:
-        return exposed(seen.picture, seen.picture.parts, images, about)
+        return exposed(seen.picture, images, about)
 
     moved = change(pictures(plain), pictures(forced))
     # measured 0.0021
@@ -161,9 +191,80 @@ def test_what_is_told_is_measured(rig, plan):
         assert told[name]["rms_percent"] / 100.0 < told[name]["bound"] * 1.3, name
 
 
+EVERY = {
+    "single-scattering": "always",
+    "projector-gamma": {"gamma": 2.2},
+    "black-leak": "always",
+    "projector-blur": "always",
+    "defocus": {"px_per_mm": 0.02},
+    "lamp-shape": {"falloff": 0.2},
+    "lamp-drift": {"cold_share": 0.1, "drift_per_h": 0.5},
+    "colour-wheel": {"flicker": 0.3, "flicker_hz": 10.0},
+    "refraction": {"outside_deg": 10.0},
+    "fresnel": {"index": 1.33},
+    "divergence": {"half_angle_deg": 1.0},
+    "multiple-scattering": "always",
+    "anisotropy": "always",
+    "internal-reflection": {"index": 1.33},
+    "walls": {"reflectance": 0.05},
+    "ambient": "always",
+    "lens-blur": {"sigma_px": 1.0},
+    "oblique-view": {"tilt_deg": 5.0, "distance_mm": 200},
+    "distortion": {"k1": 0.05},
+    "vignetting": {"half_field_deg": 20.0},
+    "rolling-shutter": {"row_time_s": 1e-4},
+    "hot-pixels": {"number": 20, "e_per_s": 50_000.0},
+    "shot-noise": "always",
+    "read-noise": "always",
+    "blooming": {"share": 0.5},
+    "response": {"curve": "srgb"},
+    "saturation": "always",
+    "quantisation": "always",
+}
+
+
+def test_of_every_effect_it_is_told_what_it_changes_and_costs(rig):
+    stripes = {"kind": "stripes", "period_px": 12, "shifts": 6, "low": 51}
+    grey = {"schema": "labrig-plan/1", "name": "grey", "exposures": {"bracket_s": [0.2]}}
+    sets = [{"id": "stripes", "pattern": stripes}, {"id": "white", "pattern": {"kind": "uniform"}}]
+    plan = parse({**grey, "sets": sets}, labrig.Plan, source="plan")
+    camera = rig.camera.model_copy(update={"rows": 80, "cols": 96})
+    view = {"mm_per_px": 0.4, "region_px": (10, 10, 75, 60)}
+    geometry = rig.geometry.model_copy(update=view)
+    rig = rig.model_copy(update={"camera": camera, "geometry": geometry})
+    few = {"n_paths": 1000, "cell_mm": 2.0}
+    scene = scene_of(EVERY, tolerance=1e-3, transport={**few, "tail": 0.1})
+    found = simulate(scene, rig, plan, explained=True)
+    assert [t.decision.name for t in found.told] == [entry.name for entry in ENTRIES]
+    for told in found.told:
+        assert told.decision.used, told.decision.name
+        assert told.rms_percent is not None
+        # charge that blooms, and sRGB counts, end at the white level by themselves
+        assert told.rms_percent > 0.0 or told.decision.name == "saturation", told.decision.name
+        assert told.seconds is not None
+        assert told.seconds >= 0.0
+
+
+def test_what_multiple_scattering_cost_is_told_although_it_was_kept(
+    rig, plan, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("LABRIG_CACHE", str(tmp_path))
+    effects = {"single-scattering": "always", "multiple-scattering": "always"}
+    scene = scene_of(effects, transport={"n_paths": 8000, "cell_mm": 1.0})
+    fresh, kept = (simulate(scene, rig, plan, explained=True) for _ in range(2))
+    answers = [one.seen.picture.answer for one in (fresh, kept)]
+    assert [one.from_cache for one in answers if one] == [False, True]
+    assert answers[0].seconds == answers[1].seconds > 0.0
+    assert kept.told[1].seconds > 0.5 * answers[0].seconds
+
+
 def test_bad_words_of_a_scene_are_refused_in_one_line(rig, plan):
     with pytest.raises(ConfigError, match=r"'effects\.lens-blurr' is unknown; did you mean"):
         scene_of({"lens-blurr": {"sigma_px": 1.0}})
+    with pytest.raises(ConfigError, match=r"'effects\.lens-blur': a mapping of its own keys"):
+        scene_of({"lens-blur": "auto"})
+    with pytest.raises(ConfigError, match="less than or equal to 100"):
+        scene_of({"lens-blur": {"sigma_px": 1e9}})
     with pytest.raises(ConfigError, match="leave it at 0"):
         scene_of(
             {"refraction": {"outside_deg": 5.0}}, beam={"from_mm": 7, "to_mm": 9, "angle_deg": 5}
@@ -209,7 +310,7 @@ GALLERY = sorted(path.stem for path in (labrig.config_folder() / "scenes").glob(
 
 
 def gallery(name: str) -> tuple[labrig.Scene, labrig.Rig, labrig.Plan]:
-    """Return a scene of the gallery on 90 x 120 px of a millimetre each, few paths."""
+    """Return a scene of the gallery on 90 x 120 px of a millimetre each, its light by few paths."""
     folder = labrig.config_folder()
     scene = labrig.load_scene(folder / "scenes" / f"{name}.yaml")
     rig = labrig.load_rig(
@@ -218,7 +319,9 @@ def gallery(name: str) -> tuple[labrig.Scene, labrig.Rig, labrig.Plan]:
     camera = rig.camera.model_copy(update={"rows": 90, "cols": 120, "hot_pixels": 2})
     view = {"mm_per_px": 1.0, "region_px": (10, 8, 100, 75)}
     geometry = rig.geometry.model_copy(update=view)
-    few = scene.transport.model_copy(update={"n_paths": 4000, "cell_mm": 2.5})
+    few = scene.transport.model_copy(
+        update={"method": "montecarlo", "n_paths": 4000, "cell_mm": 2.5}
+    )
     return (
         scene.model_copy(update={"transport": few}),
         rig.model_copy(update={"camera": camera, "geometry": geometry}),
@@ -233,10 +336,13 @@ def test_the_gallery_can_do_without_what_it_leaves_out(name):
     plain = see(scene, rig, plan)
     left_out = tuple(d.name for d in plain.decisions if not d.used)
     forced = see(scene, rig, plan, force=left_out)
-    one = exposed(plain.picture, plain.picture.parts, images, about, noisy=False)
-    other = exposed(forced.picture, forced.picture.parts, images, about, noisy=False)
+    begins_s = begins_of(about, plain.picture, forced.picture)
+    one, other = (
+        exposed(seen.picture, images, about, begins_s, noisy=False) for seen in (plain, forced)
+    )
     # measured worst 0.002, of a tolerance of 0.005
     assert change(one, other) < scene.tolerance
+    assert not {"shot-noise", "read-noise"} & set(left_out)  # which are not looked at here
     assert name in ("ideal", "refracting-face") or left_out
 
 
@@ -251,12 +357,13 @@ def test_realism_is_bought_step_by_step(rig, plan):
     }
     found = cost_of_realism(scene_of(effects), rig, plan, lambda *_: None)
     names = [step.name for step in found.steps]
-    assert names[0] == "single scattering"
-    assert names[-1] == "multiple scattering"
-    assert sorted(names[1:-1]) == ["ambient", "black-leak", "projector-blur"]
+    assert names[:2] == ["single-scattering", "multiple-scattering"]
+    assert sorted(names[2:]) == ["ambient", "black-leak", "projector-blur"]
     errors = [step.error for step in found.steps]
     assert errors[-1] == 0.0
-    assert errors[0] == max(errors) > 0.1
+    assert errors == sorted(errors, reverse=True)
+    assert errors[0] > 0.1
+    assert [step.transport_s > 0.0 for step in found.steps] == [False, True, True, True, True]
     assert found.left_out == 0.0
 
 
@@ -267,5 +374,5 @@ def test_the_command_draws_what_realism_costs(command, small_rig, small_plan, tm
     given = ("--plan", small_plan, "--rig", small_rig, "--out", tmp_path / "out")
     said = command("accuracy", "scene", scene, *given)
     assert said.code == 0, said.err
-    assert "single scattering" in said.out
+    assert "single-scattering" in said.out
     assert (tmp_path / "out" / "scene.png").stat().st_size > 10_000

@@ -114,7 +114,6 @@ class Effect(Generic[P]):
     cost : what it costs, in words
     """
 
-    name: ClassVar[str]
     kind: ClassVar[Kind] = "light"
     cost: ClassVar[str]
 

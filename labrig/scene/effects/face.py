@@ -14,7 +14,7 @@ from labrig.scene.parts import Parts
 class Refraction(Effect[RefractionConfig]):
     """The beam turns at the face by Snell's law; a plane pane between changes nothing of that."""
 
-    name, kind, cost = "refraction", "transport", "an answer of its own for a slanted beam"
+    kind, cost = "transport", "an answer of its own for a slanted beam"
 
     def bound(self, about: Situation) -> Bound:
         """Return how far the stripes would be displaced at the far wall without it."""
@@ -33,7 +33,7 @@ class Refraction(Effect[RefractionConfig]):
 class Fresnel(Effect[FresnelConfig]):
     """Both surfaces of the pane reflect (Fresnel's equations, unpolarised light)."""
 
-    name, cost = "fresnel", "a factor"
+    cost = "a factor"
 
     def transmission(self, inside_deg: float) -> float:
         """Return the share of the light that enters the liquid in a direction."""
@@ -65,7 +65,7 @@ class Divergence(Effect[DivergenceConfig]):
     stretched and thinned out likewise: right where it has not gone far from where it scattered.
     """
 
-    name, cost = "divergence", "a ray for each pixel in place of one for each row"
+    cost = "a ray for each pixel in place of one for each row"
 
     def _distance_mm(self, about: Situation | Parts) -> float:
         half = 0.5 * (about.scene.beam.to_mm - about.scene.beam.from_mm)

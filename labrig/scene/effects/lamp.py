@@ -18,7 +18,7 @@ POINTS = 33  # of the parabola, straight in between: its error is falloff / 4000
 class LampShape(Effect[LampShapeConfig]):
     """The beam falls from its middle to its edges as a parabola."""
 
-    name, kind, cost = "lamp-shape", "transport", "an answer of its own"
+    kind, cost = "transport", "an answer of its own"
 
     def bound(self, about: Situation) -> Bound:  # noqa: ARG002
         """Return the light missing at the edges: nothing loses a larger share."""
@@ -42,7 +42,7 @@ class LampShape(Effect[LampShapeConfig]):
 class LampDrift(Effect[LampDriftConfig]):
     """The lamp warms up and drifts."""
 
-    name, kind, cost = "lamp-drift", "lamp", "a closed integral for each exposure"
+    kind, cost = "lamp", "a closed integral for each exposure"
 
     def _lamp(self, rig_lamp: Lamp) -> Lamp:
         given = {k: v for k, v in self.parameters.model_dump().items() if v is not None}
@@ -65,7 +65,7 @@ class LampDrift(Effect[LampDriftConfig]):
 class ColourWheel(Effect[ColourWheelConfig]):
     """Light flickers as sin(2 pi f t), and an exposure sees its mean."""
 
-    name, kind, cost = "colour-wheel", "lamp", "a closed integral for each exposure"
+    kind, cost = "lamp", "a closed integral for each exposure"
 
     def _flicker(self, about: Situation | Parts) -> tuple[float, float]:
         own, rig = self.parameters, about.rig.simulation.lamp

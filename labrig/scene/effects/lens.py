@@ -19,7 +19,7 @@ EDGE = 0.2337  # integral of the square of a step less the step blurred, over it
 class Ambient(Effect[AmbientConfig]):
     """Even light on the whole sensor, projector or not."""
 
-    name, cost = "ambient", "nothing"
+    cost = "nothing"
 
     def _rate(self, about: Situation | Parts) -> float:
         own = self.parameters.e_per_s
@@ -38,7 +38,7 @@ class Ambient(Effect[AmbientConfig]):
 class LensBlur(Effect[LensBlurConfig]):
     """The lens images a point as a Gaussian; light is moved, not lost."""
 
-    name, cost = "lens-blur", "two passes over the picture"
+    cost = "two passes over the picture"
 
     def bound(self, about: Situation) -> Bound:
         """Return what stripes lose, and the edges of beam and face."""
@@ -65,7 +65,7 @@ class LensBlur(Effect[LensBlurConfig]):
 class Vignetting(Effect[VignettingConfig]):
     """Light falls as cos^4 of the angle to the lens' axis, which hits the sensor's middle."""
 
-    name, cost = "vignetting", "a factor for each pixel"
+    cost = "a factor for each pixel"
 
     def bound(self, about: Situation) -> Bound:  # noqa: ARG002
         """Return the loss in the corners."""

@@ -16,7 +16,7 @@ from labrig.scene.stripes import LAST
 class Gamma(Effect[GammaConfig]):
     """Light of a grey level is its gamma-th power; black and white stay what they are."""
 
-    name, cost = "projector-gamma", "a power for each projector column"
+    cost = "a power for each projector column"
 
     def bound(self, about: Situation) -> Bound:
         """Return the largest change of a level that the plan shows."""
@@ -37,7 +37,7 @@ class Gamma(Effect[GammaConfig]):
 class Leak(Effect[LeakConfig]):
     """A black pixel shines with a share of a white one."""
 
-    name, cost = "black-leak", "nothing"
+    cost = "nothing"
 
     def _share(self, about: Situation | Parts) -> float:
         share = self.parameters.share
@@ -57,7 +57,7 @@ class Leak(Effect[LeakConfig]):
 class Blur(Effect[BlurConfig]):
     """A Gaussian blurs projector pixels: wave h of stripes falls by exp(-(h q s)^2 / 2)."""
 
-    name, cost = "projector-blur", "an error function at every edge of a stripe"
+    cost = "an error function at every edge of a stripe"
 
     def _sigma_px(self, about: Situation | Parts) -> float:
         sigma = self.parameters.sigma_px
@@ -79,7 +79,7 @@ class Blur(Effect[BlurConfig]):
 class Defocus(Effect[DefocusConfig]):
     """The blur grows with depth, as the projector is sharp at the face only."""
 
-    name, kind = "defocus", "transport"
+    kind = "transport"
     cost = "33 blurs in place of one, and an answer of its own"
 
     def bound(self, about: Situation) -> Bound:

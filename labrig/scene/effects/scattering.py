@@ -24,7 +24,7 @@ def scattering_evenly(medium: MediumConfig) -> MediumConfig:
 class Single(Effect[Word]):
     """The beam, scattered once towards the camera: what stripes are seen by."""
 
-    name, cost = "single-scattering", "a few operations for each pixel"
+    cost = "a few operations for each pixel"
 
     def bound(self, about: Situation) -> Bound:  # noqa: ARG002
         """Return all of the light."""
@@ -38,7 +38,7 @@ class Single(Effect[Word]):
 class Multiple(Effect[Word]):
     """Light scattered twice and more, order by order."""
 
-    name, kind, cost = "multiple-scattering", "transport", "the solution of transport, once"
+    kind, cost = "transport", "the solution of transport, once"
 
     def bound(self, about: Situation) -> Bound:
         """Return the geometric series of what each bounce keeps at most."""
@@ -53,7 +53,7 @@ class Multiple(Effect[Word]):
 class Anisotropy(Effect[Word]):
     """Light keeps its direction with a mean cosine of g; without, it scatters evenly."""
 
-    name, kind, cost = "anisotropy", "transport", "moments of the light over direction"
+    kind, cost = "transport", "moments of the light over direction"
 
     def bound(self, about: Situation) -> Bound:
         """Return by how much the orders can differ from those of even scattering.

@@ -22,7 +22,10 @@ def camera_of(about: Situation | Parts) -> SimulatedCameraConfig:
     """Return the simulated camera; a real one brings its own effects."""
     camera = about.rig.camera
     if not isinstance(camera, SimulatedCameraConfig):
-        msg = f"rig {about.rig.name!r} has a real camera, whose sensor is not simulated."
+        msg = (
+            f"rig {about.rig.name!r} has a real camera, whose sensor is not simulated; choose a "
+            "rig with a simulated one, or leave the sensor's effects out."
+        )
         raise PlanError(msg)
     return camera
 
@@ -42,7 +45,7 @@ def _with(parts: Parts, **changes: object) -> Parts:
 class ShotNoise(Effect[Word]):
     """Electrons come by chance (Poisson): their variance is their mean."""
 
-    name, kind, cost = "shot-noise", "sensor", "a random number for each pixel"
+    kind, cost = "sensor", "a random number for each pixel"
 
     def bound(self, about: Situation) -> Bound:
         """Return sqrt(mean) over rms of the dimmest picture; the mean is below the rms."""
@@ -58,7 +61,7 @@ class ShotNoise(Effect[Word]):
 class ReadNoise(Effect[Word]):
     """Reading a pixel adds normal noise."""
 
-    name, kind, cost = "read-noise", "sensor", "a random number for each pixel"
+    kind, cost = "sensor", "a random number for each pixel"
 
     def bound(self, about: Situation) -> Bound:
         """Return it over the rms of the dimmest picture."""
@@ -73,7 +76,7 @@ class ReadNoise(Effect[Word]):
 class Quantisation(Effect[Word]):
     """Counts are whole. The frames of a session always are, whatever a scene says."""
 
-    name, kind, cost = "quantisation", "sensor", "a rounding"
+    kind, cost = "sensor", "a rounding"
 
     def bound(self, about: Situation) -> Bound:
         """Return a count over sqrt(12), as a share of the dimmest picture."""
@@ -88,7 +91,7 @@ class Quantisation(Effect[Word]):
 class Saturation(Effect[Word]):
     """Counts end at the white level."""
 
-    name, kind, cost = "saturation", "sensor", "a comparison"
+    kind, cost = "sensor", "a comparison"
 
     def bound(self, about: Situation) -> Bound:
         """Return zero if not even the brightest pixel can reach it."""
@@ -109,7 +112,7 @@ class Saturation(Effect[Word]):
 class Blooming(Effect[BloomingConfig]):
     """Charge above full well spills up and down its column."""
 
-    name, kind, cost = "blooming", "sensor", "passes over the picture until nothing spills"
+    kind, cost = "sensor", "passes over the picture until nothing spills"
 
     def bound(self, about: Situation) -> Bound:
         """Return zero if no pixel can be full."""
@@ -125,7 +128,7 @@ class Blooming(Effect[BloomingConfig]):
 class Response(Effect[ResponseConfig]):
     """Counts are not proportional to electrons but bent, as those of a webcam."""
 
-    name, kind, cost = "response", "sensor", "a power for each pixel"
+    kind, cost = "sensor", "a power for each pixel"
 
     def _curve(self, about: Situation | Parts) -> str:
         return self.parameters.curve or about.rig.camera.response
@@ -144,7 +147,7 @@ class Response(Effect[ResponseConfig]):
 class HotPixels(Effect[HotPixelsConfig]):
     """Some pixels collect electrons without light."""
 
-    name, kind, cost = "hot-pixels", "sensor", "a copy of the picture"
+    kind, cost = "sensor", "a copy of the picture"
 
     def _figures(self, about: Situation | Parts) -> tuple[int, float]:
         own, camera = self.parameters, camera_of(about)
@@ -167,7 +170,7 @@ class HotPixels(Effect[HotPixelsConfig]):
 class RollingShutter(Effect[RollingShutterConfig]):
     """Each row begins later than the one above; it shows where the light changes meanwhile."""
 
-    name, kind, cost = "rolling-shutter", "sensor", "an exposure for each row"
+    kind, cost = "sensor", "an exposure for each row"
 
     def _row_s(self, about: Situation | Parts) -> float:
         own = self.parameters.row_time_s

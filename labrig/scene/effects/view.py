@@ -23,7 +23,7 @@ class Oblique(Effect[ObliqueConfig]):
     ``D (X cos t, Y) / (D + X sin t)``.
     """
 
-    name, cost = "oblique-view", "an interpolation for each pixel"
+    cost = "an interpolation for each pixel"
 
     def bound(self, about: Situation) -> Bound:
         """Return what the largest displacement of a pixel of the region changes."""
@@ -49,7 +49,7 @@ class Oblique(Effect[ObliqueConfig]):
 class Distortion(Effect[DistortionConfig]):
     """What is at r is seen at r (1 + k1 r^2), in half diagonals from the sensor's middle."""
 
-    name, cost = "distortion", "an interpolation for each pixel"
+    cost = "an interpolation for each pixel"
 
     def bound(self, about: Situation) -> Bound:
         """Return what the largest displacement of a pixel of the region changes."""

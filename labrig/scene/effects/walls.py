@@ -31,7 +31,7 @@ class InternalReflection(Effect[InternalReflectionConfig]):
     The face is a bare surface to air; a thin pane between changes the critical angle in nothing.
     """
 
-    name, kind = "internal-reflection", "transport"
+    kind = "transport"
     cost = "an answer of its own, whose paths are folded at the face"
 
     def bound(self, about: Situation) -> Bound:
@@ -48,7 +48,7 @@ class InternalReflection(Effect[InternalReflectionConfig]):
 class Walls(Effect[WallsConfig]):
     """The other walls are mirrors of a reflectance, for the beam and for what it scatters."""
 
-    name, kind = "walls", "transport"
+    kind = "transport"
     cost = "an answer of its own, whose paths are folded at the walls"
 
     def bound(self, about: Situation) -> Bound:
