@@ -9,6 +9,7 @@ from emulated.uvc_camera import UvcCamera
 from emulated.x_server import FrameBuffer, XServer
 
 import labrig
+import labrig.api  # at once: a minute for the emulated processor, and more while a camera streams
 from drivers.transport.v4l2_device import video_devices
 from labrig.session import Session
 
