@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 from scipy.special import ellipe
 
-from analysis.medium import Phase
+from analysis.medium import Medium, Phase
 
 Array = NDArray[np.float64]
 
+G_SEARCHED = 0.995
 UNRESOLVED = 0.01  # |g|^(n_theta/2), the first coefficient left out, must not exceed it
 
 
@@ -90,3 +92,22 @@ def convolution_matrix(g: float, phase: Phase, n_theta: int) -> Array:
         g, phase, theta, n_orders=(n_theta + 1) // 2, negligible=0.0
     )
     return np.asarray((basis.T * weights) @ basis * (2.0 * np.pi / n_theta))
+
+
+def alike(medium: Medium, phase: Phase) -> Medium | None:
+    """Return the medium of another phase function that scatters alike; None if there is none.
+
+    Its sigma_t is equal, and so are what is scattered at all, sigma_s f_0, and its mean cosine,
+    f_1 / f_0. A sigma_s above sigma_t is no medium.
+    """
+    f0, f1 = fourier_coefficients(medium.g, medium.phase, 2)
+
+    def excess(g: float) -> float:
+        other = fourier_coefficients(g, phase, 2)
+        return float(other[1] / other[0] - f1 / f0)
+
+    g = float(brentq(excess, -G_SEARCHED, G_SEARCHED))
+    sigma_s = medium.sigma_s_per_mm * float(f0) / power_removed(g, phase)
+    if sigma_s > medium.sigma_t_per_mm:
+        return None
+    return Medium(sigma_t_per_mm=medium.sigma_t_per_mm, sigma_s_per_mm=sigma_s, g=g, phase=phase)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.errors import AnalysisError
+from analysis.spectrum_kernels import gather
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -101,15 +102,16 @@ class Bins:
         x_mm = np.asarray(0.5 * (first[:-1] + first[1:]) * pixel_mm, dtype=np.float64)
         return cls(x_mm=x_mm, first=first)
 
-    def mean(self, picture: Stack) -> tuple[Array, Array]:
-        """Return mean and number of the finite pixels of every row and bin, (rows, n_x) both."""
-        finite = np.isfinite(picture)
-        value = np.where(finite, picture, 0.0)
-        end = int(self.first[-1])
-        total = np.add.reduceat(value[:, :end], self.first[:-1], axis=1, dtype=np.float64)
-        count = np.add.reduceat(finite[:, :end], self.first[:-1], axis=1, dtype=np.float64)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return total / count, count
+    def gather(self, net: Stack, variance: Stack) -> tuple[Array, Array]:
+        """Return the mean of every row and bin of shifts (n, rows, cols), and their noise.
+
+        Pixels that lack a value in any shift are left out; the second, (rows, n_x), is the
+        variance of the first, (n, rows, n_x), as a mean over the shifts.
+        """
+        shape = (net.shape[1], self.x_mm.size)
+        mean, noise = np.empty((net.shape[0], *shape)), np.empty(shape)
+        gather(net, variance, self.first, mean, noise)
+        return mean, noise
 
 
 def white_light(
@@ -138,7 +140,7 @@ def white_light(
     )
 
 
-def demodulate(net: Stack) -> NDArray[np.complex64]:
+def demodulate(net: Stack) -> ComplexArray:
     """Return ``z = (2/N) sum_k net_k exp(-2 pi i k/N)`` of shifted stripes, (rows, cols).
 
     Raises
@@ -150,11 +152,7 @@ def demodulate(net: Stack) -> NDArray[np.complex64]:
     if n < MIN_SHIFTS:
         msg = f"{n} shifts: the stripes' wave needs at least {MIN_SHIFTS} over a period; take more."
         raise AnalysisError(msg)
-    turn = (2.0 / n * np.exp(-2j * np.pi * np.arange(n) / n)).astype(np.complex64)
-    z = turn[0] * net[0]
-    for factor, picture in zip(turn[1:], net[1:], strict=True):
-        z += factor * picture
-    return np.asarray(z, dtype=np.complex64)
+    return _harmonic(net, 1) * 2.0
 
 
 def stripe_wave(
@@ -204,7 +202,7 @@ def stripe_wave(
     )
 
 
-def third_harmonic(net: Stack) -> NDArray[np.complex64] | None:
+def third_harmonic(net: Stack) -> ComplexArray | None:
     """Return ``(1/N) sum_k net_k exp(-6 pi i k/N)`` of shifted stripes; None for fewer than six.
 
     Below six shifts other harmonics alias onto the third.
@@ -212,8 +210,14 @@ def third_harmonic(net: Stack) -> NDArray[np.complex64] | None:
     n = net.shape[0]
     if n < MIN_SHIFTS_OF_THIRD:
         return None
-    turn = (np.exp(-6j * np.pi * np.arange(n) / n) / n).astype(np.complex64)
-    return np.asarray(np.tensordot(turn, net, axes=1))
+    return _harmonic(net, 3)
+
+
+def _harmonic(net: Stack, order: int) -> ComplexArray:
+    n = net.shape[0]
+    angle = 2.0 * np.pi * order * np.arange(n) / n
+    even = np.tensordot(np.cos(angle) / n, net, axes=1)
+    return np.asarray(even - 1j * np.tensordot(np.sin(angle) / n, net, axes=1))
 
 
 def measured_contrast(

@@ -71,6 +71,7 @@ __all__ = [
     "report",
     "report_calibration",
     "resume",
+    "reweight",
     "solve",
     "verify",
     "write_solution",
@@ -304,6 +305,24 @@ def draw_board(out: StrPath, **sizes: float) -> tuple[Path, ...]:
 
     content = {"schema": "labrig-board/1", **sizes}
     return board.draw_board(Path(out), _config.parse(content, BoardFile, source="board"))
+
+
+def reweight(result: Result, sigma_s_per_mm: float) -> Result:
+    """Return a result's bounces as another scattering coefficient makes them (Eq. 11).
+
+    Nothing is solved anew: sigma_t and g stay, ``fluence`` and ``light_field`` of bounce k are
+    weighted by ``(sigma_s' / sigma_s)^(k-1)``.
+
+    Raises
+    ------
+    labrig.errors.AnalysisRefusedError
+        If the result holds no bounces.
+    analysis.errors.AnalysisError
+        If sigma_s is negative, or that of the result is not positive.
+    """
+    from labrig.reweighted import reweight as weighted  # noqa: PLC0415 - loads the analysis
+
+    return weighted(result, sigma_s_per_mm)
 
 
 def report(

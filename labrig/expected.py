@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.separation import square_contrast
-from analysis.spectrum import CONTRAST_ERROR, Bins, StripeWave, white_light
-from analysis.stripe_aware import Observed, stripe_answer
+from analysis.spectrum import CONTRAST_ERROR, StripeWave, white_light
+from analysis.stripe_aware import stripe_answer
+from analysis.stripe_problem import Observed
 from analysis.transport.eigenmodes import plane_light
 from labrig.errors import PlanError
-from labrig.joint_step import BIN_TAU, MAX_BINS, N_WAVES
+from labrig.joint_step import N_WAVES, depth_bins
 from labrig.models.plan import Plan, StripesPattern
 from labrig.models.rig import Rig
 from labrig.models.scene import Scene
@@ -46,7 +47,7 @@ def expect(scene: Scene, rig: Rig, plan: Plan) -> Observed:
     noise = _Noise(scene, rig, plan)
     medium, tank, beam = scene.medium.record(), scene.tank.record(), scene.beam.record()
     rows, cols = round(tank.width_mm / pixel_mm), round(tank.depth_mm / pixel_mm)
-    bins = Bins.of(cols, pixel_mm, max(BIN_TAU / medium.sigma_t_per_mm, cols * pixel_mm / MAX_BINS))
+    bins = depth_bins(cols, pixel_mm, medium.sigma_t_per_mm)
     y, irradiance = beam.profile_points()
     fine_y = np.linspace(y[0], y[-1], 2001)
     light = np.interp(fine_y, y, irradiance)

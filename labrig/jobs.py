@@ -17,7 +17,7 @@ from labrig.config import parse
 from labrig.decomposition import decompose
 from labrig.errors import RunError
 from labrig.models.scene import Scene
-from labrig.results import Result, read_results
+from labrig.results import Result, read_results, value_of
 from labrig.showing import bounces_of, sessions, show
 from labrig.shown import Bounces, Listed, Price, Shown
 
@@ -179,7 +179,7 @@ def _scene(result: Result) -> Scene:
         "medium": {
             "sigma_t_per_mm": run["sigma_t_per_mm"]["value"],
             "sigma_s_per_mm": run["sigma_s_per_mm"]["value"],
-            "g": run["g"]["value"],
+            "g": value_of(run["g"]),
         },
         "tank": setup["tank"],
         "beam": setup["beam"],

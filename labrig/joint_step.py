@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from analysis.errors import AnalysisError
 from analysis.medium import Beam, Medium, Phase, Tank
+from analysis.phase_function import alike
 from analysis.spectrum import (
     Bins,
     StripeWave,
@@ -21,12 +22,12 @@ from analysis.spectrum import (
     white_light,
 )
 from analysis.stripe_aware import (
-    Observed,
     SideWalls,
     StripeAware,
     fit_stripe_aware,
     stripe_answer,
 )
+from analysis.stripe_problem import Observed
 from analysis.transport.side_walls import side_wall_loss
 from calibration.errors import CalibrationError
 from labrig.models.analysis import Analysis
@@ -38,12 +39,14 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 BIN_TAU = 0.05  # optical depth gathered to one value
-MAX_BINS = 400
+MIN_BINS, MAX_BINS = 50, 400
+NARROW_TAU = 2.0  # optical width of the narrowest tank
 NEAR_TAU = 0.6  # optical depth within which the stripes' contrast is measured
 N_WAVES = 3  # of the white light along the face, besides its sum
 OFF_PERIOD = 0.02  # the stripes' measured period against the one that was set
 OFF_SLANT_DEG = 1.0
 OFF_MODEL = 4.0  # chi^2 per degree of freedom at which the model does not hold
+G_UNKNOWN, G_ASSUMED = 0.4, 0.0  # std of g from which on it is not known; what is assumed then
 ILL = 1000.0  # condition number above which the data do not tell the parameters apart
 
 
@@ -54,6 +57,7 @@ class Joint:
     Attributes
     ----------
     observed, fit : None where no such fit exists; the notes say why
+    g_unknown : the data do not tell g; the fit is that of ``G_ASSUMED``
     other_phase : the medium by the other phase function, likewise fitted
     share : (n_periods, n_x), part of the stripes' light that was scattered once; NaN outside
     """
@@ -63,6 +67,7 @@ class Joint:
     other_phase: StripeAware | None
     share: Array | None
     notes: tuple[str, ...]
+    g_unknown: bool = False
 
     @property
     def medium(self) -> Medium | None:
@@ -74,9 +79,13 @@ def fit_joint(pictures: Pictures, setup: Setup, config: Analysis, decay: Decay) 
     """Fit sigma_t, sigma_s and g to the stripes of every period and the white light."""
     guess = decay.attenuation.sigma_t_per_mm
     try:
+        _refuse_near_walls(decay.tank, guess)
         seen = observe(pictures, setup, guess, decay.tank)
         walls = _walls(decay.tank, decay.beam, seen.observed)
         observed, fit = seen.observed, fit_seen(seen, guess, config.phase, walls)
+        g_unknown = _std_of_g(fit) > G_UNKNOWN
+        if g_unknown:
+            fit = fit_seen(seen, guess, config.phase, walls, g=G_ASSUMED)
     except (AnalysisError, CalibrationError) as error:
         note = (
             f"No fit of stripes and white light together ({error}) The values are those of Eqs. 9 "
@@ -93,9 +102,10 @@ def fit_joint(pictures: Pictures, setup: Setup, config: Analysis, decay: Decay) 
     return Joint(
         observed=observed,
         fit=fit,
-        other_phase=_other(observed, fit, guess),
+        other_phase=None if g_unknown else _other(observed, fit, guess),
         share=share,
-        notes=tuple(_doubts(fit, observed, setup, pictures.unit)),
+        notes=tuple(_doubts(fit, observed, setup, pictures.unit, g_unknown=g_unknown)),
+        g_unknown=g_unknown,
     )
 
 
@@ -146,6 +156,13 @@ class Seen:
         return stripe_answer(medium, wavenumber_per_mm, x_mm, depth_mm=o.depth_mm, slope=o.slope)
 
 
+def depth_bins(n_cols: int, pixel_mm: float, sigma_t_per_mm: float) -> Bins:
+    """Return columns gathered to depths, as finely as light that decays so is looked at."""
+    depth_mm = n_cols * pixel_mm
+    width = min(BIN_TAU / sigma_t_per_mm, depth_mm / MIN_BINS)
+    return Bins.of(n_cols, pixel_mm, max(width, depth_mm / MAX_BINS))
+
+
 def observe(pictures: Pictures, setup: Setup, sigma_t_per_mm: float, tank: Tank) -> Seen:
     """Return stripes and white light by waves along the face.
 
@@ -158,29 +175,41 @@ def observe(pictures: Pictures, setup: Setup, sigma_t_per_mm: float, tank: Tank)
         If the shifts are too few, or no stripes are found.
     """
     pixel, cols = pictures.pixel, pictures.stripes.shape[2]
-    width = max(BIN_TAU / sigma_t_per_mm, cols * pixel / MAX_BINS)
-    bins = Bins.of(cols, pixel, width)
+    bins = depth_bins(cols, pixel, sigma_t_per_mm)
     height = pictures.stripes.shape[1] * pixel
     waves = 2.0 * np.pi * np.arange(N_WAVES + 1) / height
     series = (Series.main(pictures, setup), *pictures.more)
-    white = white_light(*_mean([_white(s, pictures, bins) for s in series]), pixel, waves)
+    black = pictures.black_variance
+    of_black = None if black is None else bins.gather(black[None], black[None])[1]
+    gathered = [_gather(one, bins) for one in series]
+    white = white_light(*_mean([g.white(of_black) for g in gathered]), pixel, waves)
     return Seen(
         observed=Observed(
             x_mm=bins.x_mm,
             white=white,
-            stripes=tuple(_stripes(s, pixel, bins, white) for s in series),
+            stripes=tuple(g.stripes(pixel, bins, white) for g in gathered),
             depth_mm=tank.depth_mm,
         ),
         series=series,
-        thirds=tuple(_third(s, bins) for s in series),
+        thirds=tuple(g.third() for g in gathered),
         bins=bins,
         pixel=pixel,
         near_mm=NEAR_TAU / sigma_t_per_mm,
     )
 
 
-def fit_seen(seen: Seen, guess_per_mm: float, phase: Phase, walls: SideWalls) -> StripeAware:
+def fit_seen(
+    seen: Seen,
+    guess_per_mm: float,
+    phase: Phase,
+    walls: SideWalls,
+    g: float | None = None,
+) -> StripeAware:
     """Fit once with a guess of the stripes' contrast, then with what the medium makes of it.
+
+    Parameters
+    ----------
+    g : held there; else it is fitted, with its profile likelihood
 
     Raises
     ------
@@ -197,18 +226,43 @@ def fit_seen(seen: Seen, guess_per_mm: float, phase: Phase, walls: SideWalls) ->
         phase=phase,
         side_walls=walls,
         contrasts=seen.contrasts,
+        g=g,
+        profile=g is None,
     )
 
 
-def _white(series: Series, pictures: Pictures, bins: Bins) -> tuple[Array, Array]:
-    """Return a wholly lit field from the mean of the shifts, and its variance, binned."""
-    n = series.net.shape[0]
-    lit = series.low + (series.high - series.low) * series.duty
-    mean, count = bins.mean(series.net.mean(axis=0) / lit)
-    noise, _ = bins.mean(series.variance.mean(axis=0) / (n * lit**2))
-    if pictures.black_variance is not None:
-        noise = noise + bins.mean(pictures.black_variance / lit**2)[0]
-    return mean, noise / np.maximum(count, 1.0)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Gathered:
+    """A series by depths: (n_shifts, rows, n_x), and the variance of one shift, (rows, n_x)."""
+
+    series: Series
+    net: Array
+    variance: Array
+
+    def white(self, black_variance: Array | None) -> tuple[Array, Array]:
+        """Return a wholly lit field from the mean of the shifts, and its variance."""
+        series, n = self.series, self.net.shape[0]
+        lit = series.low + (series.high - series.low) * series.duty
+        noise = self.variance / n + (0.0 if black_variance is None else black_variance)
+        return self.net.mean(axis=0) / lit, noise / lit**2
+
+    def stripes(self, pixel: float, bins: Bins, white: WhiteLight) -> StripeWave:
+        """Return the stripes' wave, a known loss of contrast with depth taken out."""
+        noise = self.variance * 2.0 / self.net.shape[0]
+        found = stripe_wave(demodulate(self.net), noise, pixel, bins, white)
+        if self.series.contrast is None:
+            return found
+        c1 = self.series.contrast(bins.x_mm)
+        return replace(found, amplitude=found.amplitude / c1 * c1[0], std=found.std / c1 * c1[0])
+
+    def third(self) -> ComplexArray | None:
+        """Return the third harmonic over the shifts, (rows, n_x), where there is one."""
+        return third_harmonic(self.net) if self.series.square else None
+
+
+def _gather(series: Series, bins: Bins) -> _Gathered:
+    net, variance = bins.gather(series.net, series.variance)
+    return _Gathered(series=series, net=net, variance=variance)
 
 
 def _mean(whites: list[tuple[Array, Array]]) -> tuple[Array, Array]:
@@ -217,25 +271,15 @@ def _mean(whites: list[tuple[Array, Array]]) -> tuple[Array, Array]:
     return value, np.mean([v for _, v in whites], axis=0) / len(whites)
 
 
-def _stripes(series: Series, pixel: float, bins: Bins, white: WhiteLight) -> StripeWave:
-    n = series.net.shape[0]
-    z = demodulate(series.net)
-    real, count = bins.mean(z.real)
-    imaginary, _ = bins.mean(z.imag)
-    noise, _ = bins.mean(series.variance.mean(axis=0))
-    noise *= 2.0 / n / np.maximum(count, 1.0)
-    found = stripe_wave(real + 1j * imaginary, noise, pixel, bins, white)
-    if series.contrast is None:
-        return found
-    c1 = series.contrast(bins.x_mm)
-    return replace(found, amplitude=found.amplitude / c1 * c1[0], std=found.std / c1 * c1[0])
-
-
-def _third(series: Series, bins: Bins) -> ComplexArray | None:
-    third = third_harmonic(series.net) if series.square else None
-    if third is None:
-        return None
-    return np.asarray(bins.mean(third.real)[0] + 1j * bins.mean(third.imag)[0])
+def _refuse_near_walls(tank: Tank, sigma_t_per_mm: float) -> None:
+    """Waves along an endless face are no picture of a tank narrower than light's free path."""
+    across = tank.width_mm * sigma_t_per_mm
+    if across < NARROW_TAU:
+        msg = (
+            f"the tank is {across:.2g} mean free paths wide, its side walls take away most of the "
+            "multiple scattering; use a denser sample."
+        )
+        raise AnalysisError(msg)
 
 
 def _walls(tank: Tank, beam: Beam, observed: Observed) -> SideWalls:
@@ -259,27 +303,49 @@ def _walls(tank: Tank, beam: Beam, observed: Observed) -> SideWalls:
 
 
 def _other(observed: Observed, fit: StripeAware, guess_per_mm: float) -> StripeAware | None:
-    """Fit the phase function that was not asked for; None where it has no such medium."""
-    phase: Phase = "hg-paper" if fit.medium.phase == "hg-plane" else "hg-plane"
+    """Fit the phase function that was not asked for; None where no such medium scatters alike."""
+    near = alike(fit.medium, "hg-paper" if fit.medium.phase == "hg-plane" else "hg-plane")
+    if near is None:
+        return None
     loss = fit.losses
     try:
         return fit_stripe_aware(
             observed,
             sigma_t_per_mm=guess_per_mm,
-            phase=phase,
+            phase=near.phase,
             side_walls=lambda _: loss,
-            near=replace(fit.medium, phase=phase),
+            near=near,
         )
     except AnalysisError:
         return None
 
 
-def _doubts(fit: StripeAware, observed: Observed, setup: Setup, unit: str) -> list[str]:
+def _std_of_g(fit: StripeAware) -> float:
+    return math.sqrt(float(fit.covariance[2, 2] + fit.model_covariance[2, 2]))
+
+
+def _doubts(
+    fit: StripeAware, observed: Observed, setup: Setup, unit: str, *, g_unknown: bool
+) -> list[str]:
     notes = []
-    if fit.at_limit:
+    if g_unknown:
+        std = math.sqrt(float(fit.covariance[1, 1] + fit.model_covariance[1, 1]))
+        most = max(fit.medium.sigma_s_per_mm, 0.0) + 2.0 * std
+        notes.append(
+            "g cannot be determined: too little light is scattered more than once. sigma_s is "
+            f"that of g = {G_ASSUMED:g}, and below {most:.2g} per {unit}."
+        )
+    elif fit.at_limit:
         notes.append(
             "The fit of stripes and white light stopped at the end of what is possible: sigma_s "
             "and g are not determined."
+        )
+    known = np.isfinite(observed.white.moment[0])
+    lost_mm = float(observed.x_mm[np.argmax(known)] - observed.x_mm[0])
+    if lost_mm > 0.0:
+        notes.append(
+            f"The first {lost_mm:.3g} {unit} are saturated in every exposure and left out; without "
+            "them the contrast of the stripes is not known. Take a shorter exposure too."
         )
     if fit.condition > ILL:
         notes.append("The data hardly tell sigma_s from g: see their correlation.")

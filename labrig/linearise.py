@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,12 +15,14 @@ from calibration.model import CameraModel
 from labrig.config import parse
 from labrig.corrections import Corrections
 from labrig.errors import AnalysisRefusedError
+from labrig.lost_shift import HALF, from_the_others, lost_pictures, refuse_unless_replaceable
 from labrig.models.plan import Shot
 from labrig.models.setup import Setup
 from labrig.session import Session
 
 Array = NDArray[np.float64]
 
+WORKERS = 2  # pictures merged side by side; each holds its sums, so that more would cost memory
 LIGHT = frozenset({"stripes", "white", "black", "ambient"})  # roles that are merged and separated
 
 
@@ -28,30 +31,31 @@ def linearise(
 ) -> Mapping[str, Radiance]:
     """Merge the bracket of every picture of a session, by role and shift: ``stripes-3``, ``white``.
 
+    A picture of stripes that was lost is what its opposite leaves of their constant sum: each half
+    period's shift lights what the other left dark.
+
     A dark record gives the offset of every pixel; else dark frames of the same exposure give one
     for all, else the camera's declared black level. Hot pixels of a record are masked.
 
     Raises
     ------
     AnalysisRefusedError
-        If a shot of the plan is missing, or there are no stripes.
+        If more shots of the plan are missing than a shift of stripes, or there are no stripes.
     SessionError, CalibrationError
         If a frame is damaged, or a bracket saturated throughout.
     """
-    if session.missing:
-        msg = (
-            f"session {session.path.name}: {len(session.missing)} of {len(session.shots)} shots "
-            f"are missing ({session.missing[0]} first); capture it anew."
-        )
-        raise AnalysisRefusedError(msg)
     _refuse_mixed_segments(session)
     known = known or Corrections(camera=setup.camera.record())
     camera = known.camera
     by_picture: dict[str, list[Shot]] = defaultdict(list)
     for shot in shots_of(session):
         by_picture[_picture_of(shot)].append(shot)
+    series = series_of(session)
+    lost = lost_pictures(session, {n: [s.id for s in shots] for n, shots in by_picture.items()})
+    duty = setup.stripes.duty if setup.stripes is not None else HALF
+    refuse_unless_replaceable(session, lost, [(one.names, duty) for one in series])
+    by_picture = {name: shots for name, shots in by_picture.items() if name not in lost}
     darks = _dark_levels(session, by_picture.pop("dark", []), camera)
-    series_of(session)
     _refuse_mixed_patterns(session, by_picture)
 
     def offset(exposure_s: float) -> Offset:
@@ -59,20 +63,19 @@ def linearise(
             return known.dark.at(exposure_s)
         return darks.get(exposure_s, camera.black_level_dn)
 
-    return {
-        name: _without_hot(
-            merge(
-                (session.read(shot.id) for shot in shots),
-                [shot.exposure_s for shot in shots],
-                [offset(shot.exposure_s) for shot in shots],
-                camera,
-                known.flat,
-            ),
-            known,
-        )
-        for name, shots in by_picture.items()
-        if shots[0].role in LIGHT
-    }
+    def merged(shots: list[Shot]) -> Radiance:
+        frames = (session.read(shot.id) for shot in shots)
+        times_s = [shot.exposure_s for shot in shots]
+        offsets = [offset(time_s) for time_s in times_s]
+        return _without_hot(merge(frames, times_s, offsets, camera, known.flat), known)
+
+    lit = {name: shots for name, shots in by_picture.items() if shots[0].role in LIGHT}
+    with ThreadPoolExecutor(WORKERS) as pool:
+        found = dict(zip(lit, pool.map(merged, lit.values()), strict=True))
+    for one in series:
+        for name in set(one.names) & set(lost):
+            found[name] = from_the_others(one.names, name, found)
+    return found
 
 
 def _refuse_mixed_patterns(session: Session, by_picture: Mapping[str, list[Shot]]) -> None:
@@ -92,7 +95,8 @@ def _refuse_mixed_segments(session: Session) -> None:
     segments: dict[str, set[object]] = defaultdict(set)
     for shot in session.shots:
         group = str(shot.get("group", shot["id"]))
-        segments[group].add(session.frames[shot["id"]].details.get("segment"))
+        if shot["id"] in session.frames:
+            segments[group].add(session.frames[shot["id"]].details.get("segment"))
     mixed = sorted(group for group, found in segments.items() if len(found) > 1)
     if mixed:
         msg = (

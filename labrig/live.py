@@ -17,6 +17,7 @@ from labrig.door import Applied, Picture, Show, StripeSet
 from labrig.errors import LabrigError
 from labrig.estimate import discard_of, settle_of
 from labrig.header import setup_of
+from labrig.looks import Looks
 from labrig.models.plan import BlackPattern, Plan, Shot, UniformPattern
 from labrig.patterns import Image, digest, draw
 from labrig.plan import bracket_of, stripes_of
@@ -165,6 +166,7 @@ class Live:
                 },
                 settle_s=settle_of(self._plan, rig.projector_can.settle_s),
                 discard=discard_of(self._plan, rig.camera_can.exposure_latency_frames),
+                looks=Looks(rig, self._plan),
                 gain_db=self._applied.gain_db,
             )
             self._turn = 0
@@ -213,24 +215,25 @@ class Live:
             raise AssertionError(msg)
         black = self._reduced.get("black")
         old = black is None or time.monotonic() - black[1] > BLACK_AGE_S
-        name = (
-            "black"
-            if old and self._turn % self._shifts == 0
-            else (f"shift {self._turn % self._shifts}")
-        )
-        self._turn += name != "black"
-        image = self._images[name]
+        turn = self._turn % self._shifts
+        shift = None if old and turn == 0 else turn
+        name = "black" if shift is None else f"shift {shift}"
+        self._turn += shift is not None
         shot = Shot(
             id=f"live-{self._turn}-{name.replace(' ', '-')}",
             set="live",
-            role="black" if name == "black" else "white",
+            role="black" if shift is None else "stripes",
             group="live",
             exposure_s=self._applied.exposure_s,
-            pattern=digest(image),
+            shift=shift,
+            shifts=None if shift is None else self._shifts,
+            pattern=digest(self._images[name]),
         )
+        sequencer.looks.forget_pictures()  # the operator moves lens and sample meanwhile
         try:
             return sequencer.attempt(shot, self._cancel, again=False).frame, name
         except AttemptError as error:
+            sequencer.looks.begin_again()
             if error.cause is Cause.NO_FRAME:
                 msg = f"The camera sent no frame. {_sentence(error)}"
                 raise SilentError(msg) from error

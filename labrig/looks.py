@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labrig.models.plan import Shot
+from labrig.models.plan import Plan, Shot, StripesPattern
 from labrig.rig import OpenRig
+from labrig.shift_sums import ENOUGH_PIXELS, SURE, Sums, add_up
+from labrig.thinned import Mask, Thinned, Thinner, typical
 
 RATIO_TOLERANCE = 0.03  # of brightness between two brackets of one pattern
-SAMPLE = 20_000  # pixels at random places: a regular grid of them could fit the stripes' period
-ENOUGH_PIXELS = 50
+LAMP_TOLERANCE = 0.2  # and between two frames of one exposure, for a lamp drifts
 ALIKE, DIFFERENT = 2.0, 8.0  # chi^2 of two frames: one pattern gives 1, two that can be told more
-FEWER = 4  # of the sample, where all shifts of a group are compared
+CLEAR = 36.0  # chi^2 of one pixel whose change is no noise, even if that is twice what is stated
 MANY_GROUPS = 16  # brackets that alternate; of older groups all shifts have been seen
 PILED, LEAST_NOISE_DN = 0.02, 1.5  # share of pixels at one value that such noise cannot explain
 
@@ -34,148 +36,238 @@ class Cause(StrEnum):
     DEVICE_LOST = "device-lost"
 
 
+Doubt = tuple[Cause, str]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Swing:
+    """What stripes have been seen to change: by (n,) pixel, DN/s, and at which shifts.
+
+    After half of the shifts an edge has passed every pixel; before that it is known of some alone,
+    and these will not change again at once.
+    """
+
+    per_s: NDArray[np.float64]
+    shifts: set[int]
+
+
 class Looks:
     """Remembers accepted pictures, thinned, and holds new ones to them.
 
     ``lamp`` is the light of the last reference, as a share of the first.
     """
 
-    def __init__(self, rig: OpenRig) -> None:
+    def __init__(self, rig: OpenRig, plan: Plan) -> None:
         self._rig = rig
-        self._brackets: dict[tuple[str, str | None], tuple[float, float, NDArray[np.float64]]] = {}
-        self._last: tuple[Shot, NDArray[np.float64]] | None = None
-        self._visible: set[str] = set()
+        self._limits = plan.limits
+        self._full = {
+            s.id
+            for s in plan.sets
+            if isinstance(s.pattern, StripesPattern) and (s.pattern.low, s.pattern.high) == (0, 255)
+        }
+        self._thinner = Thinner(rig)
         self.lamp = 1.0
-        self._at: tuple[int, NDArray[np.int64]] | None = None
-        self._groups: dict[str, dict[int, NDArray[np.float64]]] = {}
+        self._known: dict[str | None, tuple[str, Thinned]] = {}  # by pattern, with the shot's id
+        self._lit: dict[str, dict[float, Thinned]] = {"white": {}, "black": {}}  # by exposure
+        self._last: tuple[Shot, Thinned] | None = None
+        self._swing: dict[str, dict[float, Swing]] = {}  # by set and exposure
+        self._groups: dict[str, dict[int, Thinned]] = {}
 
     def doubt(
         self, shot: Shot, pixels: NDArray[np.uint16], details: dict[str, Any]
-    ) -> tuple[Cause, str] | None:
+    ) -> Doubt | None:
         """Return what speaks against a picture; None if nothing does, and then remember it.
 
-        Two ways: against the same pattern at the neighbour bracket, the brightness must follow
-        the exposure; against the shot before, a new pattern must be seen to have come, in a set
-        whose patterns have been told apart before.
+        Two ways: it must be the picture that its pattern gave before, as much brighter as it was
+        exposed longer; and against the shot before, a new pattern must be seen to have come, at
+        pixels that are known to see it.
         """
-        thin = pixels.ravel()[self._places(pixels.size)].astype(np.float64)
-        ratio = self._ratio(shot, thin)
-        if ratio is not None:
-            details["bracket_ratio"] = ratio
-            if abs(ratio - 1.0) > RATIO_TOLERANCE:
-                return Cause.WRONG_EXPOSURE, (
-                    f"the frame is {ratio:.3f} times as bright as its neighbour bracket lets "
-                    "expect; the exposure is not the one reported."
-                )
-        chi2 = self._chi2(shot, thin)
-        if chi2 is not None:
-            details["change_chi2"] = chi2
-            if chi2 < ALIKE and shot.set in self._visible:
-                return Cause.WRONG_PATTERN, (
-                    f"the picture is that of shot {self._last[0].id if self._last else ''} (chi^2 "
-                    f"{chi2:.2f}), though the pattern is another; the projector did not change."
-                )
-            if chi2 > DIFFERENT and self._last is not None and self._last[0].set == shot.set:
-                self._visible.add(shot.set)
-        self._brackets[shot.set, shot.pattern] = (shot.exposure_s, self.lamp, thin)
-        self._last = (shot, thin)
-        self._remember_shift(shot, thin)
-        if (clipped_dn := self._clipped(thin)) is not None:
+        if shot.role == "white" and self._last is None:
+            self._thinner.aim(pixels)
+        now = self._thinner.thin(pixels, shot.exposure_s, self.lamp)
+        if (clipped_dn := self._clipped(now)) is not None:
             details["clipped_at_dn"] = clipped_dn
+            now = replace(now, clipped=now.clipped | (now.counts >= clipped_dn))
+        if shot.shutter != "covered":
+            doubt = self._against_known(shot, now, details) or self._against_last(
+                shot, now, details
+            )
+            if doubt is not None:
+                return doubt
+            self._remember(shot, now)
+        self._last = (shot, now)
         return None
 
-    def group_residual(self, shot: Shot) -> tuple[float, str] | None:
-        """Return by how much the shifts of a group contradict one another, once all are there.
+    def compared_with(self, shot: Shot) -> str:
+        """Return the id of the shot whose picture a new one is held to; empty if there is none."""
+        return self._known[shot.pattern][0] if shot.pattern in self._known else ""
 
-        Stripes and the same moved by half a period together are white light, whatever the sample
-        does with it. So all such pairs must sum to one picture, up to the lamp's brightness; a
-        frame that saw another pattern, or two, or was exposed otherwise, spoils its pair's sum.
+    def begin_again(self) -> None:
+        """Trust none of the pictures accepted so far: one of them was wrong."""
+        self.forget_pictures()
+        self._swing.clear()
 
-        Returns
-        -------
-        The rms residual of the worst pair as a share of the light, zero where noise explains it,
-        and the pair in words. None if the group is incomplete, or has an odd number of shifts, or
-        one pair alone.
-        """
-        n, seen = shot.shifts or 0, self._shifts_of(shot)
-        if n % 2 or n < 4 or len(seen) < n:
+    def forget_pictures(self) -> None:
+        """Hold no new picture to an old one: what is before the camera may have changed."""
+        self._known.clear()
+        self._groups.clear()
+        for taken in self._lit.values():
+            taken.clear()
+
+    def group_doubt(self, shot: Shot) -> str | None:
+        """Return in words how the shifts of a group contradict one another, once all are there."""
+        seen = self._groups.get(shot.group, {})
+        if shot.shifts is None or len(seen) < shot.shifts:
             return None
-        frames = np.array([seen[k] for k in range(n)])
-        black, white = self._rig.black_level_dn, self._rig.camera_can.white_level_dn
-        frames = frames[:, (frames < 0.95 * white).all(axis=0)]
-        if frames.shape[1] < ENOUGH_PIXELS:
-            return None
-        variance = self._rig.variance_dn2(frames)
-        pairs = frames[: n // 2] + frames[n // 2 :] - 2.0 * black
-        noise = (variance[: n // 2] + variance[n // 2 :]).mean(axis=1) * (1.0 - 2.0 / n)
-        common = pairs.mean(axis=0)
-        power = float(np.mean(common**2))
-        lamp = pairs @ common / (frames.shape[1] * power) if power else np.ones(n // 2)
-        excess = np.mean((pairs - lamp[:, None] * common) ** 2, axis=1) - noise
-        excess[excess < 5.0 * noise * np.sqrt(2.0 / frames.shape[1])] = 0.0
-        worst = int(excess.argmax())
-        share = float(np.sqrt(excess[worst] / power)) if power else 0.0
-        return share, (
-            f"shifts {worst} and {worst + n // 2} of group {shot.group} do not add up as the "
-            f"others do, by {100.0 * share:.1f} % of the light; one of them saw another pattern, "
-            "or two, or another exposure."
-        )
+        full = shot.set in self._full
+        found = add_up([seen[k] for k in range(shot.shifts)], self._lit_at(shot) if full else None)
+        return None if found is None else self._contradiction(shot.group, found)
 
-    def _shifts_of(self, shot: Shot) -> dict[int, NDArray[np.float64]]:
-        return self._groups.get(shot.group, {})
+    def _contradiction(self, group: str, found: Sums) -> str | None:
+        if found.residual > self._limits.shift_residual:
+            return (
+                f"group {group}: {found.worst}, by {100.0 * found.residual:.1f} % of the light; "
+                "one of them saw another pattern, or two, or another exposure."
+            )
+        if (
+            found.brightness is not None
+            and abs(found.brightness - 1.0) > self._limits.shift_brightness
+        ):
+            return (
+                f"group {group}: its shifts are {found.brightness:.2f} times as bright as half of "
+                "white and black together; the exposure is not the one reported, or the camera's "
+                "response is not the one declared."
+            )
+        return None
 
-    def _remember_shift(self, shot: Shot, thin: NDArray[np.float64]) -> None:
-        """Keep a stripe picture for its group; a first shift begins the group anew."""
+    def _lit_at(self, shot: Shot) -> tuple[Thinned, Thinned] | None:
+        """Return white and black, of the same exposure or the next shorter one if there is one."""
+        found = []
+        for taken in self._lit.values():
+            if not taken:
+                return None
+            shorter = [e for e in taken if e <= shot.exposure_s]
+            found.append(taken[max(shorter) if shorter else min(taken)])
+        return found[0], found[1]
+
+    def _remember(self, shot: Shot, now: Thinned) -> None:
+        self._known[shot.pattern] = (shot.id, now)
+        if shot.role in self._lit:
+            self._lit[shot.role][shot.exposure_s] = now
         if shot.shift is None:
             return
+        if self._last is not None and self._last[0].set == shot.set:
+            self._learn_swing(shot, now, self._last[1])
         if shot.shift == 0:
             self._groups.pop(shot.group, None)
-        self._groups.setdefault(shot.group, {})[shot.shift] = thin[::FEWER]
+        self._groups.setdefault(shot.group, {})[shot.shift] = now
         while len(self._groups) > MANY_GROUPS:
             del self._groups[next(iter(self._groups))]
 
-    def _clipped(self, thin: NDArray[np.float64]) -> float | None:
-        """Return the counts at which the sensor clips below its white level; None if it does not.
+    def _learn_swing(self, shot: Shot, now: Thinned, before: Thinned) -> None:
+        """Remember how much each pixel has been seen to change between two shifts."""
+        if now.exposure_s != before.exposure_s:
+            return
+        change = np.abs(now.light - before.light)
+        change[change**2 < CLEAR * (now.variance + before.variance)] = 0.0
+        if np.count_nonzero(change) < ENOUGH_PIXELS:
+            return
+        known = self._swing.setdefault(shot.set, {})
+        swing = known.setdefault(shot.exposure_s, Swing(np.zeros(change.size), set()))
+        np.maximum(swing.per_s, change / now.exposure_s, out=swing.per_s)
+        swing.shifts.add(shot.shift or 0)
 
-        Noise spreads the brightest pixels; many of them at one value mean that it was cut there.
-        """
-        top = float(thin.max())
-        white = self._rig.camera_can.white_level_dn
-        noisy = float(self._rig.variance_dn2(np.array([top]))[0]) > LEAST_NOISE_DN**2
-        piled = np.mean(thin == top) > PILED
-        return top if noisy and piled and top < white else None
-
-    def _places(self, size: int) -> NDArray[np.int64]:
-        if self._at is None or self._at[0] != size:
-            rng = np.random.default_rng(size)
-            n = min(size, SAMPLE)
-            self._at = (size, np.sort(rng.choice(size, n, replace=False, shuffle=False)))
-        return self._at[1]
-
-    def _ratio(self, shot: Shot, now: NDArray[np.float64]) -> float | None:
-        """Return brightness over what the neighbour bracket lets expect; None if too dark."""
-        unknown = (shot.exposure_s, self.lamp, now)
-        before_s, lamp, before = self._brackets.get((shot.set, shot.pattern), unknown)
-        if before_s == shot.exposure_s or shot.shutter == "covered":
+    def _against_known(self, shot: Shot, now: Thinned, details: dict[str, Any]) -> Doubt | None:
+        """Hold a picture to the last one of its pattern."""
+        if shot.pattern not in self._known:
             return None
-        black, white = self._rig.black_level_dn, self._rig.camera_can.white_level_dn
-        usable = (now < 0.95 * white) & (before < 0.95 * white)
-        usable &= np.minimum(now, before) > black + 0.05 * (white - black)
-        if usable.sum() < ENOUGH_PIXELS:
+        _, known = self._known[shot.pattern]
+        light, variance = known.at(now.exposure_s, now.lamp)
+        usable = ~now.clipped & ~known.clipped
+        bright = usable & (np.minimum(now.light, known.light) > 0.05 * self._thinner.white)
+        ratio = 1.0
+        if bright.sum() >= ENOUGH_PIXELS:
+            ratio = float(now.light[bright].sum() / light[bright].sum())
+            details["bracket_ratio"] = ratio
+            same = known.exposure_s == now.exposure_s
+            if abs(ratio - 1.0) > (LAMP_TOLERANCE if same else RATIO_TOLERANCE):
+                return Cause.WRONG_EXPOSURE, (
+                    f"the frame is {ratio:.3f} times as bright as the same pattern at "
+                    f"{known.exposure_s:g} s lets expect; the exposure is not the one reported, "
+                    "or the camera's response is not the one declared."
+                )
+        white = self._white_at(now)
+        if white is None or usable.sum() < ENOUGH_PIXELS:
             return None
-        brighter = (now[usable] - black).sum() / (before[usable] - black).sum()
-        return float(brighter * before_s * lamp / (shot.exposure_s * self.lamp))
+        power = float(np.mean(white[usable] ** 2))
+        noise = float(np.mean((now.variance + ratio**2 * variance)[usable]))
+        excess = float(typical((now.light - ratio * light)[usable] ** 2)) - noise
+        if excess < SURE * noise * np.sqrt(2.0 / usable.sum()) or power <= 0.0:
+            return None
+        residual = float(np.sqrt(excess / power))
+        details["picture_residual"] = residual
+        if residual <= self._limits.shift_residual:
+            return None
+        return Cause.WRONG_PATTERN, (
+            f"the picture is not the one that this pattern gave at {known.exposure_s:g} s: it "
+            f"differs by {100.0 * residual:.1f} % of the light; the projector did not show it, or "
+            "not all the time."
+        )
 
-    def _chi2(self, shot: Shot, now: NDArray[np.float64]) -> float | None:
-        """Return the squared difference to the frame before over noise; None if not comparable."""
+    def _white_at(self, now: Thinned) -> NDArray[np.float64] | None:
+        """Return the light of the first white, scaled to another exposure."""
+        whites = self._lit["white"]
+        return whites[min(whites)].at(now.exposure_s, now.lamp)[0] if whites else None
+
+    def _against_last(self, shot: Shot, now: Thinned, details: dict[str, Any]) -> Doubt | None:
+        """Hold a picture to the shot before, whose pattern was another."""
         if self._last is None:
             return None
         last, before = self._last
         same_scene = last.exposure_s == shot.exposure_s and last.shutter == shot.shutter
-        if last.pattern == shot.pattern or not same_scene or shot.shutter == "covered":
+        if last.pattern == shot.pattern or not same_scene:
             return None
-        variance = self._rig.variance_dn2(now) + self._rig.variance_dn2(before)
-        return float(np.mean((now - before) ** 2 / variance))
+        variance = now.variance + before.variance
+        seeing = self._seeing(shot, variance, ~(now.clipped & before.clipped))
+        if seeing is None:
+            return None
+        chi2 = float(np.mean((now.light - before.light)[seeing] ** 2 / variance[seeing]))
+        details["change_chi2"] = chi2
+        if chi2 >= ALIKE:
+            return None
+        return Cause.WRONG_PATTERN, (
+            f"the picture is that of shot {last.id} (chi^2 {chi2:.2f}), though the pattern is "
+            "another; the projector did not change."
+        )
+
+    def _seeing(self, shot: Shot, variance: NDArray[np.float64], open_: Mask) -> Mask | None:
+        """Return the pixels at which a new pattern must be seen; None if there are too few.
+
+        Pixels that are clipped before and after see nothing, and nor do those where the stripes
+        of this set have no contrast that noise would not hide.
+        """
+        every = self._swing.get(shot.set, {}).values()
+        whole = [s.per_s for s in every if 2 * len(s.shifts) >= (shot.shifts or 0)]
+        if not whole or shot.shifts is None:
+            return None
+        expected = (np.maximum.reduce(whole) * shot.exposure_s) ** 2 / variance
+        seeing = np.asarray(open_ & (expected > CLEAR))
+        if seeing.sum() < ENOUGH_PIXELS:
+            return None
+        # an edge passes a pixel twice in a period
+        mean = float(expected[seeing].mean()) * 2.0 / shot.shifts
+        return seeing if mean > DIFFERENT else None
+
+    def _clipped(self, now: Thinned) -> float | None:
+        """Return the counts at which the sensor clips below its white level; None if it does not.
+
+        Noise spreads the brightest pixels; many of them at one value mean that it was cut there.
+        """
+        brightest = int(now.counts.argmax())
+        top = float(now.counts[brightest])
+        noisy = now.variance[brightest] > LEAST_NOISE_DN**2
+        piled = np.mean(now.counts == now.counts[brightest]) > PILED
+        return top if noisy and piled and top < self._rig.camera_can.white_level_dn else None
 
 
 def poor(details: Mapping[str, Any], white_level_dn: int, allowed: float | None) -> list[str]:

@@ -23,6 +23,11 @@ def notes_of(
     notes = list(known.notes)
     if not session.sealed:
         notes.append("The session was interrupted: it is not sealed.")
+    if session.missing:
+        notes.append(
+            f"{session.missing[0]} is missing: its picture is what the opposite shift leaves of "
+            "the light that each pair of opposite shifts adds up to."
+        )
     if known.camera.floor_variance_dn2 is None:
         notes.append(
             "Gain or read noise of the camera is unknown: no variance map, no detection limit; "

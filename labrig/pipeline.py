@@ -13,7 +13,8 @@ from labrig.joint_step import fit_joint
 from labrig.linearise import linearise
 from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
-from labrig.record import Outcome, fields_of, run_of
+from labrig.record import Outcome, run_of
+from labrig.record_fields import fields_of
 from labrig.rectify import rectify
 from labrig.results import Result, read_results, results_of, write_results
 from labrig.session import Session

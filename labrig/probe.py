@@ -9,6 +9,7 @@ import numpy as np
 from drivers.waiting import CancelToken
 from labrig.errors import RunError
 from labrig.estimate import discard_of, settle_of
+from labrig.looks import Looks
 from labrig.models.plan import AutoBracket, Plan, Shot, UniformPattern
 from labrig.patterns import digest, draw
 from labrig.rig import OpenRig
@@ -38,6 +39,7 @@ def probe(plan: Plan, rig: OpenRig, exposure_s: float, clip: float = 0.001) -> P
         handles={digest(white): handles[0]},
         settle_s=settle_of(plan, rig.projector_can.settle_s),
         discard=discard_of(plan, rig.camera_can.exposure_latency_frames),
+        looks=Looks(rig, plan),
         gain_db=plan.exposures.gain_db,
     )
     shot = Shot(

@@ -10,6 +10,7 @@ import numpy as np
 
 from drivers.waiting import CancelToken
 from labrig.estimate import discard_of, settle_of
+from labrig.looks import Looks
 from labrig.models.plan import BlackPattern, Pattern, Plan, Shot, UniformPattern
 from labrig.patterns import Image, digest, draw
 from labrig.plan import CapturePlan
@@ -43,6 +44,7 @@ class References:
         self._own: dict[str, Image] = {n: image for n, image in drawn.items() if image is not None}
         self._images: dict[str, Image] = {}
         self._exposure_s = 0.0
+        self._only_exposure = self._tested = False
         light = None if before is None else before.get("light_dn")
         self._light_dn = light if isinstance(light, int | float) else None
 
@@ -50,13 +52,15 @@ class References:
         """Load all patterns, arm the camera; return what makes attempts."""
         own = {digest(image): image for image in self._own.values()}
         self._images = {**own, **expanded.images}
-        self._exposure_s = min(shot.exposure_s for shot in expanded.shots)
+        exposures_s = {shot.exposure_s for shot in expanded.shots}
+        self._exposure_s, self._only_exposure = min(exposures_s), len(exposures_s) == 1
         handles = self._rig.arm([*self._images.values()])
         return Sequencer(
             rig=self._rig,
             handles=dict(zip(self._images, handles, strict=True)),
             settle_s=settle_of(self._plan, self._rig.projector_can.settle_s),
             discard=discard_of(self._plan, self._rig.camera_can.exposure_latency_frames),
+            looks=Looks(self._rig, self._plan),
             gain_db=self._plan.exposures.gain_db,
             on_step=on_step,
         )
@@ -83,28 +87,56 @@ class References:
 
     def measure(self, sequencer: Sequencer, cancel: CancelToken) -> Measured:
         """Take a white and a black frame, and compare them with the last ones."""
-        levels = {}
-        for name, image in self._own.items():
-            shot = Shot(
-                id=f"reference-{name}",
-                set="reference",
-                role="white" if name == "white" else "black",
-                group="reference",
-                exposure_s=self._exposure_s,
-                pattern=digest(image),
-            )
-            frame = sequencer.attempt(shot, cancel, again=False).frame
-            levels[f"{name}_dn"] = float(np.mean(frame.pixels))
+        levels, notes = {}, []
+        if self._only_exposure and not self._tested:
+            notes = self._test_response(sequencer, cancel)
+        for name in self._own:
+            taken = sequencer.attempt(self._shot(name, self._exposure_s), cancel, again=False)
+            levels[f"{name}_dn"] = float(np.mean(taken.frame.pixels))
         light_dn = levels["white_dn"] - levels["black_dn"]
         levels["light_dn"] = light_dn
         before_dn, self._light_dn = self._light_dn, light_dn
         if not before_dn:
-            return Measured(levels=levels, changed=False, text=f"reference light {light_dn:.1f} DN")
+            text = "; ".join([f"reference light {light_dn:.1f} DN", *notes])
+            return Measured(levels=levels, changed=False, text=text)
         change = light_dn / before_dn - 1.0
         sequencer.looks.lamp *= light_dn / before_dn
         changed = abs(change) > self._plan.limits.reference_drift
         text = f"reference light {light_dn:.1f} DN, {100 * change:+.2f} % since the last one"
-        return Measured(levels=levels, changed=changed, text=text)
+        return Measured(levels=levels, changed=changed, text="; ".join([text, *notes]))
+
+    def _test_response(self, sequencer: Sequencer, cancel: CancelToken) -> list[str]:
+        """Take white at two exposures, where the plan has one: its light must follow them.
+
+        Nothing else in a plan of one exposure would tell a bent response from a linear one where
+        stripes are sharp. Looks refuses the frames if their ratio is off.
+        """
+        low, _ = self._rig.camera_can.exposure_range_s
+        other_s = 0.5 * self._exposure_s
+        if other_s < low:
+            other_s = 2.0 * self._exposure_s
+        sequencer.attempt(self._shot("white", self._exposure_s), cancel, again=False)
+        shot = self._shot("white", other_s)
+        taken = sequencer.attempt(
+            shot.model_copy(update={"id": "response-white"}), cancel, again=False
+        )
+        self._tested = True
+        ratio = taken.details.get("bracket_ratio")
+        if ratio is None:
+            return [
+                "the camera's response was not tested: too little light between black and white"
+            ]
+        return [f"white at {other_s:g} s is {ratio:.3f} times as bright as expected"]
+
+    def _shot(self, name: str, exposure_s: float) -> Shot:
+        return Shot(
+            id=f"reference-{name}",
+            set="reference",
+            role="white" if name == "white" else "black",
+            group="reference",
+            exposure_s=exposure_s,
+            pattern=digest(self._own[name]),
+        )
 
     def seconds(self, shots: Sequence[Shot]) -> float:
         """Return how long some shots will take, s."""

@@ -257,13 +257,19 @@ def parameter_rows(
             name=name,
             base=base,
             index=index,
-            measured=UNKNOWN if value is None else with_std(value["value"], value["std"]),
+            measured=_measured(value),
             unit=of,
             truth=UNKNOWN if true is None else f"{true:.5g}".replace("-", "−"),
             deviation=UNKNOWN
-            if value is None or true is None
+            if value is None or value["value"] is None or true is None
             else _off(value["value"], true, relative=key != "g"),
         )
+
+
+def _measured(found: Mapping[str, Any] | None) -> str:
+    if found is None:
+        return UNKNOWN
+    return "not determined" if found["value"] is None else with_std(found["value"], found["std"])
 
 
 def _off(value: float, true: float, *, relative: bool = True) -> str:
@@ -293,7 +299,7 @@ def remarks(run: Mapping[str, Any], unit: str) -> Iterator[str]:
             ("σₛ", f"sigma_s_per_{unit}"),
             ("g", "g"),
         )
-        if key in run and run[key]["std"] is None
+        if key in run and run[key]["value"] is not None and run[key]["std"] is None
     ]
     if missing:
         limit = quality.get("inversion", {}).get("at_limit")

@@ -51,6 +51,11 @@ class Result:
     attributes: Mapping[str, Any]
 
 
+def value_of(found: Mapping[str, Any]) -> float:
+    """Return a parameter's value, or what was assumed where the data did not tell it."""
+    return float(found["assumed"] if found["value"] is None else found["value"])
+
+
 def write_results(
     parent: Path,
     run: Mapping[str, Any],

@@ -1,17 +1,20 @@
-"""What a run keeps, tells and remembers: its status, its events, and the way to the writer."""
+"""What a run hears, tells and keeps: commands, status and events, and the way to the writer."""
 
 from __future__ import annotations
 
+import queue
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from drivers.waiting import CancelToken
+from drivers.waiting import SLICE_S, CancelToken
+from labrig.agenda import Agenda
 from labrig.errors import LabrigError
 from labrig.keeper import Keeper
-from labrig.run_state import ENDS, NEXT, Command, Event, State, Status
+from labrig.run_state import ENDS, NEXT, TAKES, Command, Event, State, Status
 from labrig.sequence import AttemptError
 from labrig.session_items import Item
 
@@ -21,17 +24,33 @@ T = TypeVar("T")
 class RunLog(ABC):
     """The part of a run that speaks to whoever follows it, and to the keeper of its frames."""
 
-    def __init__(self, total: int) -> None:
-        self.status = Status(total=total)
+    def __init__(self, agenda: Agenda) -> None:
+        self.status = Status(total=len(agenda.shots))
         self.problems: deque[str] = deque(maxlen=100)
         self._subscribers: list[Callable[[Event], None]] = []
         self._keeper: Keeper | None = None
-        self._taken: set[str] = set()
+        self._agenda = agenda
         self._owed: list[Item] = []
+        self._commands: queue.SimpleQueue[Command] = queue.SimpleQueue()
+        self._cancel = CancelToken()
 
     @abstractmethod
     def eta_s(self) -> float:
         """Return how long the shots that are left will take, s."""
+
+    def post(self, command: Command) -> None:
+        """Ask something of the run; may be called from any thread and in any state."""
+        if command is Command.ABORT and self.status.state in TAKES[Command.ABORT]:
+            # abort outranks all that is queued, and reaches into every wait
+            self._cancel.cancel("aborted by the operator")
+        self._commands.put(command)
+
+    def _heard(self) -> Iterator[Command]:
+        """Give commands as they come, until cancelled."""
+        while True:
+            self._cancel.check()
+            with suppress(queue.Empty):
+                yield self._commands.get(timeout=SLICE_S)
 
     def subscribe(self, callback: Callable[[Event], None]) -> None:
         """Let a callback hear every event, in the thread of the run."""
@@ -75,8 +94,8 @@ class RunLog(ABC):
         if isinstance(failure.error, LabrigError) or not isinstance(failure.error, OSError):
             raise failure.error
         why = f"the disk failed: {failure.error.strerror or failure.error}"
+        self._agenda.lose(item.shot for item in failure.unsaved)
         for item in failure.unsaved:
-            self._taken.discard(item.shot)
             if item.pixels is not None:
                 about = {"shot": item.shot, "attempt": item.attempt, "why": why, "cause": "disk"}
                 self._owed.append(Item(event="drop", details=about))

@@ -6,36 +6,36 @@ thread that calls `Runner.run` alone.
 
 from __future__ import annotations
 
-import queue
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import CancelledError, DriverError
-from drivers.waiting import SLICE_S, CancelToken
+from labrig.agenda import Agenda, Block
 from labrig.errors import RunError
 from labrig.finishing import finish_devices, finish_session, undisturbed
 from labrig.keeper import Keeper
 from labrig.latency import check_latency
 from labrig.looks import poor
 from labrig.models.plan import Shot
-from labrig.plan import CapturePlan, blocks_of
+from labrig.plan import CapturePlan
 from labrig.preflight import Verdict, refuse
 from labrig.references import References
+from labrig.remedies import Remedy, remedy_for
 from labrig.rig import OpenRig
 from labrig.run_log import RunLog, need
 from labrig.run_state import TAKES, Command, Finish, State, Status
-from labrig.sequence import AttemptError, Cause, Sequencer, Step
+from labrig.sequence import AttemptError, Cause, Sequencer, Step, Taken
 from labrig.session_items import Item
 from labrig.session_writer import SessionWriter
 
 PATIENCE_S = 10.0  # the longest that finishing may wait for the disk
-MIN_FAILURES = 3  # a short run may have as many without being stopped by their share
-_REARM: frozenset[Cause] = frozenset({Cause.NOT_FIRED})
+_NOT_COUNTED = frozenset({Cause.NOT_FIRED, Cause.DEVICE_LOST})  # no frame was lost
 
 
 class _AbortedError(Exception):
@@ -58,23 +58,18 @@ class Runner(RunLog):
         verdicts: Callable[[], list[Verdict]] = list,
         references: References | None = None,
     ) -> None:
-        super().__init__(len(expanded.shots))
+        super().__init__(Agenda(expanded.shots))
         self._plan = expanded.plan
         self._expanded = expanded
         self._rig = rig
         self._open_session = open_session
         self._verdicts = verdicts
-        self._commands: queue.SimpleQueue[Command] = queue.SimpleQueue()
-        self._cancel = CancelToken()
         self._after_group = False
         self._pause_asked = False
         self.latest: tuple[Shot, NDArray[np.uint16]] | None = None
         self.references = references or References(self._plan, rig)
         self._writer: SessionWriter | None = None
         self._sequencer: Sequencer | None = None
-        self._skipped: set[str] = set()
-        self._doubted: set[str] = set()
-        self._last_taken_s: dict[str, float] = {}
         self._attempts: Counter[str] = Counter()
         self._losses = 0
 
@@ -87,13 +82,6 @@ class Runner(RunLog):
     def armed(self) -> bool:
         """Whether there is a session's folder."""
         return self._writer is not None
-
-    def post(self, command: Command) -> None:
-        """Ask something of the run; may be called from any thread and in any state."""
-        if command is Command.ABORT and self.status.state in TAKES[Command.ABORT]:
-            # abort outranks all that is queued, and reaches into every wait
-            self._cancel.cancel("aborted by the operator")
-        self._commands.put(command)
 
     def run(self) -> Finish:
         """Run to the end, whatever happens; the rig is then dark and the session let go."""
@@ -120,12 +108,7 @@ class Runner(RunLog):
     # Each of these is one state.
 
     def _idle(self) -> None:
-        while True:
-            self._cancel.check()
-            try:
-                command = self._commands.get(timeout=SLICE_S)
-            except queue.Empty:
-                continue
+        for command in self._heard():
             if command is Command.START:
                 return
             self._refuse_command(command)
@@ -143,31 +126,30 @@ class Runner(RunLog):
         self._go(State.ARMING)
         checked = check_latency(self._rig, self._cancel)
         self._writer = self._open_session()
-        self._taken = set(self._writer.progress.saved)
+        self._agenda.taken.update(self._writer.progress.saved)
         self._attempts.update(self._writer.progress.last_attempt)
         self._keeper = Keeper(self._writer)
         if checked:
             self._note(checked, {})
         self._sequencer = self.references.sequencer(self._expanded, self._step)
-        self._set(saved=len(self._taken), eta_s=self.eta_s())
+        self._set(saved=len(self._agenda.taken), eta_s=self.eta_s())
         for text, details in self.references.warm_up(self._sequencer, self._cancel):
             self._note(text, details)
         self._go(State.RUNNING)
 
     def _take_all(self) -> None:
-        blocks = blocks_of(self._expanded.shots)
         with suppress(_GroupEndedError):
             self._refer()
         while True:
-            left = [b for b in blocks if any(self._wanted(shot) for shot in b)]
+            block = self._agenda.next_block()
             try:
-                if left:
-                    self._take_block(left[0])
-                    self._boundary(left[0])
+                if block is not None:
+                    self._take_block(block)
+                    self._boundary(block)
                 else:
                     need(self._keeper).drain(PATIENCE_S)
-                    self._boundary(blocks[-1])
-                    if all(not self._wanted(shot) for shot in self._expanded.shots):
+                    self._boundary(self._agenda.blocks[-1])
+                    if self._agenda.next_block() is None:
                         self._refer(last=True)
                         return
             except _GroupEndedError:
@@ -176,94 +158,85 @@ class Runner(RunLog):
                 msg = "aborted by the operator after the group"
                 raise _AbortedError(msg)
 
-    def _take_block(self, block: tuple[Shot, ...]) -> None:
+    def _take_block(self, block: Block) -> None:
         for shot in block:
-            while self._wanted(shot):
+            while self._agenda.wants(shot):
                 self._boundary(block)
                 self._repeat_if_torn(block)
                 self._take(shot, block)
 
-    def _take(self, shot: Shot, block: tuple[Shot, ...]) -> None:
+    def _take(self, shot: Shot, block: Block) -> None:
         """Try at a shot until it is taken, given up or the operator decides."""
         counts: Counter[Cause] = Counter()
-        again = False
+        again = True
         while True:
             self._attempts[shot.id] += 1
             self._set(shot=shot.id, attempt=self._attempts[shot.id])
             try:
                 taken = need(self._sequencer).attempt(shot, self._cancel, again=again)
+                break
             except AttemptError as error:
                 counts[error.cause] += 1
                 self._journal_failure(shot.id, self._attempts[shot.id], error)
-                again = self._mend(block, error, counts)
+                again = self._mend(shot, block, error, counts)
                 self._boundary(block)
-                continue
-            break
         self._step(shot.id, Step.COMMIT)
         self.latest = (shot, taken.frame.pixels)
-        # the long exposures of a bracket are meant to clip
-        shortest = shot.exposure_s == min(s.exposure_s for s in self._expanded.shots)
-        allowed = self._plan.limits.saturated_fraction if shortest else None
-        for text in poor(taken.details, self._rig.camera_can.white_level_dn, allowed):
-            self._problem(f"shot {shot.id}: {text}")
-        self._keep(
-            Item(
-                event="commit",
-                shot=shot.id,
-                attempt=self._attempts[shot.id],
-                pixels=taken.frame.pixels,
-                details=taken.details,
-            )
-        )
-        self._taken.add(shot.id)
-        self._last_taken_s[block[0].id] = self._rig.now_s()
+        self._commit(shot, taken)
+        self._agenda.take(shot, block, self._rig.now_s())
         self._hear_saved()
         self._hold_together(shot, block)
 
-    def _hold_together(self, shot: Shot, block: tuple[Shot, ...]) -> None:
+    def _hold_together(self, shot: Shot, block: Block) -> None:
         """Take a group again whose shifts contradict one another; ask where that does not help."""
-        found = need(self._sequencer).looks.group_residual(shot)
-        if found is None or found[0] <= self._plan.limits.shift_residual:
+        doubt = need(self._sequencer).looks.group_doubt(shot)
+        if doubt is None:
             return
-        if shot.group in self._doubted:
-            self._pause(f"{found[1]} It is so for the second time.", block)
+        if self._agenda.doubted(block):
+            self._pause(f"{doubt} It is so for the second time.", block)
             return
-        self._doubted.add(shot.group)
-        self._problem(found[1])
-        self._void(block, found[1])
+        self._problem(doubt)
+        self._begin_again(block, doubt)
+
+    def _begin_again(self, block: Block, why: str, other: str = "") -> NoReturn:
+        """Take a block again, and that of another shot, with new references.
+
+        Pictures contradict one another, and it is not known which of them is wrong.
+        """
+        for doubted in self._agenda.doubt(block, other):
+            self._void(doubted, why)
+        need(self._sequencer).looks.begin_again()
+        self._refer()
         raise _GroupEndedError
 
-    def _mend(self, block: tuple[Shot, ...], error: AttemptError, counts: Counter[Cause]) -> bool:
+    def _mend(self, shot: Shot, block: Block, error: AttemptError, counts: Counter[Cause]) -> bool:
         """Do what the cause asks for; return whether the pattern is still up for the next try."""
-        cause, sequencer = error.cause, need(self._sequencer)
-        if cause == Cause.DEVICE_LOST:
+        cause = error.cause
+        self._set(failures=self.status.failures + (cause not in _NOT_COUNTED))
+        n_shots, limits = self.status.total, self._plan.limits
+        remedy, why = remedy_for(cause, counts, self.status.failures, n_shots, limits)
+        if remedy is Remedy.REPEAT_GROUP:
             self._losses += 1
             if self._losses > 1:
                 self._pause(f"{error} It is the second loss of this run.", block)
             self._recover(block, str(error))
             self._void(block, "the device was lost in the middle of the group")
             raise _GroupEndedError
-        self._set(failures=self.status.failures + (cause != Cause.NOT_FIRED))
-        limits = self._plan.limits
-        allowed = max(limits.failures_per_run * self.status.total, MIN_FAILURES)
-        if counts[cause] >= limits.attempts_per_shot:
+        if remedy is Remedy.COMPARE_ANEW and not self._agenda.doubted(block):
+            other = need(self._sequencer).looks.compared_with(shot)
+            self._begin_again(block, str(error), other)
+        if remedy in (Remedy.PAUSE, Remedy.COMPARE_ANEW):
+            self._pause(f"{error} {why}", block)
             counts.clear()
-            self._pause(
-                f"{error} It failed {limits.attempts_per_shot} times for this cause.", block
-            )
-            return False
-        if self.status.failures > allowed:
-            self._pause(f"{error} {self.status.failures} attempts of this run failed.", block)
             self._set(failures=0)
             return False
-        if cause in _REARM or (cause == Cause.DUPLICATE and counts[cause] == 2):
+        if remedy is Remedy.REARM:
             self._recover(block, str(error))
-            return False
-        if cause is Cause.WRONG_EXPOSURE:
-            sequencer.forget_exposure()
-        return cause is not Cause.WRONG_PATTERN
+        if remedy is Remedy.SET_AGAIN:
+            need(self._sequencer).forget_exposure()
+        return remedy in (Remedy.AGAIN, Remedy.SET_AGAIN)
 
-    def _recover(self, block: tuple[Shot, ...], why: str) -> None:
+    def _recover(self, block: Block, why: str) -> None:
         """Close and open the devices again; pause where they do not come back."""
         self._go(State.RECOVERING, why)
         while True:
@@ -279,7 +252,7 @@ class Runner(RunLog):
                 self._go(State.RECOVERING)
         self._go(State.RUNNING)
 
-    def _pause(self, reason: str, block: tuple[Shot, ...]) -> None:
+    def _pause(self, reason: str, block: Block) -> None:
         """Stand still, dark, until the operator decides; then begin with new references."""
         self._problem(reason)
         if self._plan.limits.on_failure == "abort" and reason != "asked by the operator":
@@ -296,13 +269,8 @@ class Runner(RunLog):
         self._pay()
         self._refer()
 
-    def _decide(self, block: tuple[Shot, ...]) -> None:
-        while True:
-            self._cancel.check()
-            try:
-                command = self._commands.get(timeout=SLICE_S)
-            except queue.Empty:
-                continue
+    def _decide(self, block: Block) -> None:
+        for command in self._heard():
             if command in (Command.RESUME, Command.RETRY):
                 return
             if command in (Command.ABORT, Command.ABORT_AFTER_GROUP):
@@ -330,7 +298,7 @@ class Runner(RunLog):
 
     # What happens between two attempts.
 
-    def _boundary(self, block: tuple[Shot, ...]) -> None:
+    def _boundary(self, block: Block) -> None:
         """Hear the disk and the operator."""
         self._cancel.check()
         self._hear_saved()
@@ -352,33 +320,29 @@ class Runner(RunLog):
         if self._pause_asked:
             self._pause("asked by the operator", block)
 
-    def _repeat_if_torn(self, block: tuple[Shot, ...]) -> None:
+    def _repeat_if_torn(self, block: Block) -> None:
         """Take a group again from its start if it stood still for too long."""
-        begun = self._last_taken_s.get(block[0].id)
-        if begun is None or not any(shot.id in self._taken for shot in block):
-            return
-        gap_s = self._rig.now_s() - begun
+        gap_s = self._agenda.stood_still_s(block, self._rig.now_s())
         if gap_s > self._plan.limits.max_gap_in_group_s:
             self._void(block, f"the group stood still for {gap_s:.0f} s")
             raise _GroupEndedError
 
-    def _void(self, block: tuple[Shot, ...], reason: str) -> None:
+    def _void(self, block: Block, reason: str) -> None:
         keeper, writer = need(self._keeper), need(self._writer)
         keeper.drain(PATIENCE_S)
         self._hear_saved()
         if failure := self._hear_failure():
             self._pause(failure, block)
         # the writer's thread has nothing in hand now, so that this one may write
+        self._agenda.restart(block)
         for shot in block:
-            self._taken.discard(shot.id)
             if shot.id in writer.progress.saved:
                 writer.void(shot.id, reason)
-        self._last_taken_s.pop(block[0].id, None)
-        self._set(saved=len(self._taken))
+        self._set(saved=len(self._agenda.taken))
         self._note(f"group {block[0].group} is taken again: {reason}", {})
 
-    def _skip(self, block: tuple[Shot, ...]) -> None:
-        self._skipped |= {shot.id for shot in block if shot.id not in self._taken}
+    def _skip(self, block: Block) -> None:
+        self._agenda.skip(block)
         self._note(f"group {block[0].group} was skipped by the operator", {})
 
     def _refer(self, *, last: bool = False) -> None:
@@ -392,8 +356,10 @@ class Runner(RunLog):
                 found = self.references.measure(need(self._sequencer), self._cancel)
             except AttemptError as error:
                 self._problem(f"reference: {error}")
+                if error.cause is Cause.WRONG_EXPOSURE:
+                    need(self._sequencer).forget_exposure()
                 if not last and error.cause in (Cause.DEVICE_LOST, Cause.NOT_FIRED):
-                    self._recover(blocks_of(self._expanded.shots)[0], str(error))
+                    self._recover(self._agenda.blocks[0], str(error))
                 continue
             self._note(found.text, {"reference": found.levels})
             if found.changed:
@@ -402,18 +368,30 @@ class Runner(RunLog):
                     self._keep(Item(event="segment", details={"reason": found.text}))
             return
         if not last:
-            msg = "no reference frame could be taken; check lamp, camera and trigger."
+            msg = f"no reference could be taken; check lamp and camera. {self.status.problem}"
             raise RunError(msg)
 
     # What is kept and told of an attempt.
 
-    def _wanted(self, shot: Shot) -> bool:
-        return shot.id not in self._taken and shot.id not in self._skipped
+    def _commit(self, shot: Shot, taken: Taken) -> None:
+        # the long exposures of a bracket are meant to clip
+        shortest = shot.exposure_s == self._agenda.shortest_s
+        allowed = self._plan.limits.saturated_fraction if shortest else None
+        for text in poor(taken.details, self._rig.camera_can.white_level_dn, allowed):
+            self._problem(f"shot {shot.id}: {text}")
+        self._keep(
+            Item(
+                event="commit",
+                shot=shot.id,
+                attempt=self._attempts[shot.id],
+                pixels=taken.frame.pixels,
+                details=taken.details,
+            )
+        )
 
     def eta_s(self) -> float:
         """Return how long the shots that are left will take, s."""
-        left = [shot for shot in self._expanded.shots if self._wanted(shot)]
-        return self.references.seconds(left)
+        return self.references.seconds(self._agenda.left())
 
     def _step(self, shot: str, step: Step) -> None:
         self._set(step=step)

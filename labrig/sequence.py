@@ -7,7 +7,7 @@ by being early, and the rules below are about the begin of its exposure.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
@@ -82,6 +82,7 @@ class Sequencer:
     handles : digest of a projector image to what the projector calls it
     settle_s : after the light has changed; never below what was calibrated
     discard : frames thrown away after an exposure change
+    looks : what pictures must look like
     on_step : told of each step as it begins, with the shot's id
     """
 
@@ -89,17 +90,14 @@ class Sequencer:
     handles: dict[str, PatternHandle]
     settle_s: float
     discard: int
+    looks: Looks
     gain_db: float = 0.0
     on_step: Callable[[str, Step], None] = lambda _shot, _step: None
-    looks: Looks = field(init=False)
     _settings: CameraSettings | None = None
     _receipt: ShowReceipt | None = None
     _shown: tuple[str | None, str] | None = None
     _last_sequence: int = 0
     _last_pixels: str = ""
-
-    def __post_init__(self) -> None:
-        self.looks = Looks(self.rig)
 
     def forget(self) -> None:
         """Assume nothing about the devices: after a recovery or a pause."""
@@ -115,7 +113,7 @@ class Sequencer:
 
         Parameters
         ----------
-        again : the pattern of the attempt before is still up, and is not shown again
+        again : the pattern of the attempt before may stay up, if it is this one
 
         Raises
         ------

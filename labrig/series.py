@@ -137,6 +137,9 @@ def _line(name: str, unit: str, x: Array, results: Sequence[Result]) -> Line:
         if not isinstance(found, Mapping):
             msg = f"{result.path}: holds no {name}; analyse the session to the end."
             raise AnalysisRefusedError(msg)
+        if found["value"] is None:
+            msg = f"{result.path}: does not determine {name}; leave this session out."
+            raise AnalysisRefusedError(msg)
         parts = [float(found.get(key) or 0.0) for key in ("std", "model_std")]
         value[k], std[k] = float(found["value"]), math.hypot(*parts)
     if not (std > 0.0).all():

@@ -10,7 +10,7 @@ import numpy as np
 from labrig import views
 from labrig.catalogue import catalogue
 from labrig.report_page import parameter_rows, quality_rows, remarks
-from labrig.results import Result, read_results
+from labrig.results import Result, read_results, value_of
 from labrig.shown import Array, Bounces, Decay, Extent, Image, Listed, Row, Shown
 
 SHOWN = 6  # bounces whose light says which part of the tank is worth a look
@@ -129,7 +129,7 @@ def _bounces(result: Result, unit: str) -> Bounces:
         medium=(
             run[f"sigma_t_per_{unit}"]["value"],
             run[f"sigma_s_per_{unit}"]["value"],
-            run["g"]["value"],
+            value_of(run["g"]),
         ),
         beam=(
             float(about["beam_from"]),

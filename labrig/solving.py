@@ -16,7 +16,7 @@ from analysis.transport.ordinates import solve_on
 from analysis.transport.solve import TOLERANCES, Choice, Engine, choose, solve
 from labrig.errors import RunError
 from labrig.models.scene import Scene
-from labrig.record import bounce_fields
+from labrig.record_fields import bounce_fields
 from labrig.results import write_fields
 
 STEP = 10.0  # between the tolerances that an explanation compares

@@ -44,6 +44,8 @@ Picture = NDArray[np.floating[Any]]
 
 EXCESS_CHI2 = 4.0  # residuals twice the noise
 POOR_FIT = 0.1  # rms of the residual of Eq. 10 over rms of the picture
+MARGIN, WIDEST_MARGIN = 0.05, 0.35  # of the beam's width, left out at each of its edges
+UNRESOLVED_PX = 3.0  # a mean free path below it is not resolved
 FINE_PHASES = 4096  # of one period of the stripes, looked up linearly
 MAX_RADIANCES = 60_000_000  # nodes x angles: half a gigabyte an array
 
@@ -205,7 +207,10 @@ def attenuate(separated: Separated, pictures: Pictures, setup: Setup, config: An
         tank = setup.tank.record()
     beam, notes = _beam(pictures, setup)
     beam = beam.entering(tank)
-    margin = max(_period(setup), 0.05 * (beam.to_mm - beam.from_mm))
+    period, across = _period(setup), beam.to_mm - beam.from_mm
+    margin = min(max(period, MARGIN * across), WIDEST_MARGIN * across)
+    if period > WIDEST_MARGIN * across:
+        notes = (*notes, _too_coarse(period, across, pictures.unit))
 
     def profile(
         picture: Picture, variance: Picture, detected: NDArray[np.bool_] | None = None
@@ -230,6 +235,14 @@ def attenuate(separated: Separated, pictures: Pictures, setup: Setup, config: An
     if pictures.white is not None and pictures.white_variance is not None:
         white = profile(pictures.white, pictures.white_variance)
     attenuation = fit(single)
+    free_path = 1.0 / attenuation.sigma_t_per_mm
+    if free_path < UNRESOLVED_PX * pictures.pixel:
+        msg = (
+            f"light falls to 1/e within {free_path / pictures.pixel:.1f} pixels: sigma_t cannot be "
+            f"resolved, it is about {attenuation.sigma_t_per_mm:.2g} per {pictures.unit} or more; "
+            "dilute the sample, or look from nearer."
+        )
+        raise AnalysisError(msg)
     return Decay(
         tank=tank,
         beam=beam,
@@ -308,7 +321,7 @@ def explain(
     if found.rms_relative > POOR_FIT:
         notes.append(
             f"The bounces leave {100 * found.rms_relative:.0f} % (rms) of the multiple scattering "
-            "unexplained: the model does not fit, and the std of sigma_s and g means little."
+            "unexplained: the model of Eq. 10 does not fit, and its sigma_s and g mean little."
         )
     if found.last_bounce_share > 0.01:
         notes.append(
@@ -349,6 +362,13 @@ def _beam(pictures: Pictures, setup: Setup) -> tuple[Beam, tuple[str, ...]]:
         f"{pictures.unit}, {direction}."
     )
     return beam, (note,)
+
+
+def _too_coarse(period: float, across: float, unit: str) -> str:
+    return (
+        f"The stripes' period of {period:.3g} {unit} is too coarse for a beam {across:.3g} {unit} "
+        "wide: at its edges single scattering is not separated. Show finer stripes."
+    )
 
 
 def _doubts(fit: Attenuation) -> tuple[str, ...]:

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.errors import AnalysisError
 from analysis.light_field import equal_angles
-from analysis.medium import Medium
+from analysis.medium import Medium, Phase
 from analysis.phase_function import Array, phase_function, scattering_moments
 from analysis.transport.blas import BLAS
 
@@ -83,8 +84,10 @@ def plane_light(
         return np.asarray(np.exp(-rate * x_mm) * turn)
     with BLAS.limit(limits=1):
         same, cross, cos_t, from_beam = _operator(medium, q, slant, n_theta)
-        modes = _decaying_modes(same, cross, cos_t)
-        forward, backward = _following_the_beam(same, cross, cos_t, rate, from_beam)
+        together, apart = same + cross, same - cross
+        inverse = np.asarray(np.linalg.inv(together), dtype=np.float64)
+        modes = _decaying_modes(together, apart, inverse, cos_t)
+        forward, backward = _following_the_beam(apart, inverse, cos_t, rate, from_beam)
         rising, falling = _matched(modes, forward, backward, rate, depth_mm)
         # The fluence is the even light of all directions; each stands for two.
         half = cos_t.size // 2
@@ -105,22 +108,9 @@ def _operator(
     (m, m) within a hemisphere and across, m = n_theta / 2; cos(theta) (m,); the source of the
     forward and of the backward hemisphere (m,), each the even light of a quadrant, then the odd.
     """
-    theta = equal_angles(n_theta)[: n_theta // 4]  # of one quadrant, 0 .. pi/2
-    step = 2.0 * np.pi / n_theta
-    sigma_s = min(medium.sigma_s_per_mm, LARGEST_ALBEDO * medium.sigma_t_per_mm)
-    basis, weights = scattering_moments(
-        medium.g,
-        medium.phase,
-        np.concatenate([theta, -theta, np.pi - theta, theta - np.pi]),
-        n_orders=n_theta // 2,
-        negligible=NEGLIGIBLE,
-    )
-    n = theta.size
-    rows = basis[:, :n].T * (weights * sigma_s * step)
-    up, down, up_back, down_back = (rows @ basis[:, k * n : (k + 1) * n] for k in range(4))
-    same, cross = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
-    same[:n, :n], same[n:, n:] = -(up + down), -(up - down)
-    cross[:n, :n], cross[n:, n:] = up_back + down_back, up_back - down_back
+    theta, within, over = _scattering(medium.g, medium.phase, n_theta)
+    sigma_s, n = min(medium.sigma_s_per_mm, LARGEST_ALBEDO * medium.sigma_t_per_mm), theta.size
+    same, cross = -sigma_s * within, sigma_s * over
     same[np.diag_indices(2 * n)] += medium.sigma_t_per_mm
     across = np.diag(q * np.sin(theta))
     same[:n, n:] -= across
@@ -134,31 +124,55 @@ def _operator(
     return same, cross, np.tile(np.cos(theta), 2), (source(theta), source(np.pi - theta))
 
 
-def _decaying_modes(same: Array, cross: Array, cos_t: Array) -> _Modes:
-    """Solve ``cos p' = -(same p - cross b), -cos b' = -(same b - cross p)`` without a source."""
-    together, apart = same + cross, same - cross
+@lru_cache(maxsize=8)  # one medium is asked for at several wavenumbers
+def _scattering(g: float, phase: Phase, n_theta: int) -> tuple[Array, Array, Array]:
+    """Return the angles of a quadrant (n,), what is scattered within a hemisphere, and across.
+
+    The matrices are (2 n, 2 n), of the even light, then the odd, for a coefficient of one.
+    """
+    theta = equal_angles(n_theta)[: n_theta // 4]  # 0 .. pi/2
+    basis, weights = scattering_moments(
+        g,
+        phase,
+        np.concatenate([theta, -theta, np.pi - theta, theta - np.pi]),
+        n_orders=n_theta // 2,
+        negligible=NEGLIGIBLE,
+    )
+    n = theta.size
+    rows = basis[:, :n].T * (weights * (2.0 * np.pi / n_theta))
+    up, down, up_back, down_back = (rows @ basis[:, k * n : (k + 1) * n] for k in range(4))
+    within, over = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
+    within[:n, :n], within[n:, n:] = up + down, up - down
+    over[:n, :n], over[n:, n:] = up_back + down_back, up_back - down_back
+    return theta, within, over
+
+
+def _decaying_modes(together: Array, apart: Array, inverse: Array, cos_t: Array) -> _Modes:
+    """Solve ``cos t' = -together d, cos d' = -apart t`` for the sum t and the difference d."""
     square = (together / cos_t[:, None]) @ (apart / cos_t[:, None])
     value, total = np.linalg.eig(square)
     rate = np.sqrt(value.astype(np.complex128))
     rate = np.where(rate.real < 0.0, -rate, rate)
-    difference = np.linalg.solve(together, cos_t[:, None] * total) * rate
+    difference = inverse @ (cos_t[:, None] * total) * rate
     return _Modes(rate, 0.5 * (total + difference), 0.5 * (total - difference))
 
 
 def _following_the_beam(
-    same: Array,
-    cross: Array,
+    apart: Array,
+    inverse: Array,
     cos_t: Array,
     rate: complex,
     source: tuple[ComplexArray, ComplexArray],
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return the light that decays as the beam does, which the beam feeds, (m,) each way."""
-    m = cos_t.size
-    matrix = np.empty((2 * m, 2 * m), dtype=np.complex128)
-    matrix[:m, :m], matrix[:m, m:] = same - rate * np.diag(cos_t), -cross
-    matrix[m:, :m], matrix[m:, m:] = -cross, same + rate * np.diag(cos_t)
-    found = np.linalg.solve(matrix, np.concatenate(source))
-    return np.asarray(found[:m], np.complex128), np.asarray(found[m:], np.complex128)
+    """Return the light that decays as the beam does, which the beam feeds, (m,) each way.
+
+    ``apart t - rate cos d`` is the sum of the sources, ``together d - rate cos t`` the difference.
+    """
+    plus, minus = source[0] + source[1], source[0] - source[1]
+    matrix = apart - rate**2 * (cos_t[:, None] * inverse * cos_t)
+    total = np.linalg.solve(matrix, plus + rate * cos_t * (inverse @ minus))
+    difference = inverse @ (minus + rate * cos_t * total)
+    return np.asarray(0.5 * (total + difference)), np.asarray(0.5 * (total - difference))
 
 
 def _matched(

@@ -40,7 +40,9 @@ def analyse(
     for name, found in result.run.items():
         if isinstance(found, dict) and "value" in found:
             std = "—" if found["std"] is None else f"{found['std']:.2g}"
-            table.add_row(name, f"{found['value']:.5g} ± {std}")
+            unknown = found["value"] is None
+            told = "not determined" if unknown else f"{found['value']:.5g} ± {std}"
+            table.add_row(name, told)
     closure = result.run["quality"].get("closure")
     if closure is not None and closure["mean"] is not None:
         table.add_row("closure, mean", f"{100 * closure['mean']:+.2f} %")

@@ -11,10 +11,17 @@ import labrig
 from labrig.cli.say import AsJson, bars, one, say, say_json
 from labrig.config import latency_file, save
 from labrig.latency import N_FLIPS, measure_latency
+from labrig.models.plan import Exposures, Plan, PlanSet, UniformPattern
+
+_FLIPS = Plan(
+    schema_="labrig-plan/1",
+    name="latency",
+    exposures=Exposures(bracket_s=(0.02,)),
+    sets=(PlanSet(id="white", pattern=UniformPattern(kind="uniform")),),
+)
 
 
 def latency(
-    plan: Annotated[Path, typer.Argument(help="Plan file: the patterns the rig will show.")],
     rig: Annotated[Path, typer.Option(help="Rig file.")],
     scene: Annotated[Path, typer.Option(help="Scene file, for a simulated rig.")],
     flips: Annotated[int, typer.Option(min=10, help="Flips between black and white.")] = N_FLIPS,
@@ -22,10 +29,9 @@ def latency(
     as_json: AsJson = False,
 ) -> None:
     """Measure when projected light has come and settled; kept beside the rig file."""
-    wanted = labrig.load_plan(plan)
     with (
         bars() as follow,
-        labrig.open_rig(rig, scene, wanted, progress=one(follow, "light")) as opened,
+        labrig.open_rig(rig, scene, _FLIPS, progress=one(follow, "light")) as opened,
     ):
         record = measure_latency(opened, flips=flips)
     file = out or latency_file(rig)

@@ -31,7 +31,7 @@ class Analysis(Model):
     n_theta: int = Field(64, ge=8, multiple_of=4)
     n_bounces: int = Field(12, ge=2, le=400)
     g_range: tuple[float, float] = Field((-0.5, 0.8))
-    n_g: int = Field(9, ge=3, le=64, description="Chebyshev nodes in g")
+    n_g: int = Field(7, ge=3, le=64, description="Chebyshev nodes in g")
     depth_range_mm: tuple[float, float] | None = Field(None, description="of Eq. 9; else chosen")
 
     calibration: dict[str, str] = Field(

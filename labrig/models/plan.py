@@ -153,6 +153,9 @@ class Limits(Model):
     shift_residual: Positive = Field(
         0.03, description="of the light, by which shifts may fail to add up"
     )
+    shift_brightness: Positive = Field(
+        0.1, description="by which shifts may be brighter or darker than half of white and black"
+    )
     reference_drift: Positive = Field(0.02, description="of the white light; above: new segment")
 
 

@@ -15,7 +15,8 @@ from analysis.spectrum import (
     third_harmonic,
     white_light,
 )
-from analysis.stripe_aware import Observed, fit_stripe_aware, stripe_answer
+from analysis.stripe_aware import fit_stripe_aware, stripe_answer
+from analysis.stripe_problem import Observed
 from analysis.transport.beam import ballistic_fluence
 from analysis.transport.montecarlo import simulate
 from analysis.transport.side_walls import side_wall_loss
@@ -171,7 +172,8 @@ def test_stripes_through_a_slanted_beam_tell_its_slant():
     entry = y[:, None] - x * np.tan(np.radians(12.0))
     z = np.exp(1j * 3.0 * entry) * ((entry > 10.0) & (entry < 25.0)) * np.exp(-0.2 * x)
     bins = Bins.of(100, 0.1, 0.2)
-    binned = bins.mean(z.real)[0] + 1j * bins.mean(z.imag)[0]
+    (real, imaginary), _ = bins.gather(np.stack([z.real, z.imag]), np.ones((2, 400, 100)))
+    binned = real + 1j * imaginary
     seen = white_light(np.abs(binned), np.ones(binned.shape), 0.1, np.array([0.0, 0.15]))
     found = stripe_wave(binned, np.full(binned.shape, 1e-6), 0.1, bins, seen)
     # measured worst 8e-4 degrees and 2e-5 of q

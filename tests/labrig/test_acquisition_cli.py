@@ -59,7 +59,7 @@ def test_check_says_what_would_be_refused(line, why, command, small_plan, small_
 def test_latency_capture_resume_and_list(command, small_plan, small_rig, small_scene, tmp_path):
     rig = shutil.copy(small_rig, tmp_path / "rig.yaml")
     devices = ("--rig", rig, "--scene", small_scene)
-    said = command("calibrate", "latency", small_plan, *devices, "--flips", 10, "--json")
+    said = command("calibrate", "latency", *devices, "--flips", 10, "--json")
     assert said.code == 0, said.err
     assert (tmp_path / "rig.latency.yaml").exists()
     faults = "simulation: {faults: [{kind: drop, shot: white-e1-r0, times: 9}]}\n"
@@ -78,7 +78,7 @@ def test_latency_capture_resume_and_list(command, small_plan, small_rig, small_s
     # measured anew meanwhile, which is no other rig
     again = shutil.copy(small_rig, tmp_path / "again.yaml")
     devices = ("--rig", again, "--scene", small_scene)
-    assert command("calibrate", "latency", small_plan, *devices, "--flips", 20).code == 0
+    assert command("calibrate", "latency", *devices, "--flips", 20).code == 0
     said = command("resume", path, "--rig", again)
     assert (said.code, said.out.strip()) == (0, str(path)), said.err
     assert command("verify", path).code == 0
