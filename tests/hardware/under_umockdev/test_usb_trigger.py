@@ -103,12 +103,17 @@ def test_a_mute_device_keeps_deadline_and_cancel(trigger, device):
     with pytest.raises(DeadlineError, match="no whole line"):
         trigger.fire(deadline_s=in_s(0.5), cancel=NEVER)
     assert 0.5 <= time.monotonic() - begin <= 0.6
-    cancel = CancelToken()
-    threading.Timer(0.1, cancel.cancel, ["enough"]).start()
-    begin = time.monotonic()
+    cancel, cancelled_s = CancelToken(), []
+
+    def enough():
+        cancelled_s.append(time.monotonic())
+        cancel.cancel("enough")
+
+    threading.Timer(0.1, enough).start()
     with pytest.raises(CancelledError):
         trigger.fire(deadline_s=in_s(5.0), cancel=cancel)
-    assert time.monotonic() - begin <= 0.1 + 0.2
+    # from the cancel itself: its timer is late on a loaded host
+    assert time.monotonic() - cancelled_s[0] <= 0.2
     device.mute = False
     assert trigger.counters().pulses == 0
 
