@@ -12,10 +12,15 @@ import pytest
 from emulated.needs import need, need_typelib
 
 FOLDER = Path(__file__).resolve().parent / "under_umockdev"
+BEHAVIOUR = FOLDER.parents[1] / "behaviour"
+FILES = [
+    *sorted(FOLDER.glob("test_*.py")),
+    *(BEHAVIOUR / f"test_every_{kind}.py" for kind in ("camera", "trigger")),
+]
 
 
-@pytest.mark.parametrize("name", sorted(path.name for path in FOLDER.glob("test_*.py")))
-def test_every_test_of_the_file_passes(name, tmp_path):
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+def test_every_test_of_the_file_passes(file, tmp_path):
     need("umockdev-wrapper", "g++", package="umockdev g++")
     need_typelib("UMockdev", "1.0", package="gir1.2-umockdev-1.0 python3-gi")
     need_typelib("Aravis", "0.8", package="gir1.2-aravis-0.8")
@@ -25,12 +30,12 @@ def test_every_test_of_the_file_passes(name, tmp_path):
         "faulthandler",
         "-m",
         "pytest",
-        str(FOLDER / name),
+        str(file),
         "-q",
         "-p",
         "no:cacheprovider",
     ]
-    command += [f"--confcutdir={FOLDER}"]  # the program itself is not needed inside
+    command += [f"--confcutdir={file.parent}"]  # the program itself is not needed inside
     inside = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST_")}
     done = subprocess.run(
         ["umockdev-wrapper", *command, f"--basetemp={tmp_path / 'inside'}"],
