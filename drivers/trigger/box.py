@@ -84,7 +84,7 @@ class BoxTrigger:
             firmware = self._greet()
             self._ask("safe")
             self._ask("dog", round(self._watchdog_s * 1e3))
-            counts = self._ask("count")
+            counts = self._read("count")
         except _RefusedError as refusal:
             self._channel.close()
             msg = f"the box at {self._channel.name} refused a basic command ({refusal})."
@@ -112,7 +112,7 @@ class BoxTrigger:
         """Return every setting, read back from the device."""
         self._require_open()
         armed, width_us, delay_us, source, watchdog_ms, tripped, bad = (
-            int(word) for word in self._ask("state")
+            int(word) for word in self._read("state")
         )
         return {
             "port": self._channel.name,
@@ -177,7 +177,7 @@ class BoxTrigger:
     def counters(self) -> TriggerCounters:
         """Return the counts since `open`."""
         self._require_open()
-        now = [int(word) for word in self._ask("count")]
+        now = [int(word) for word in self._read("count")]
         pulses, strobes, syncs = (
             (n - base) % 2**32 for n, base in zip(now, self._base, strict=True)
         )
@@ -238,7 +238,7 @@ class BoxTrigger:
             If no sync edge came; the box is then armed no more.
         """
         while True:
-            if (int(self._ask("count")[0]) - count) % 2**32 < 2**31:
+            if (int(self._read("count")[0]) - count) % 2**32 < 2**31:
                 return
             if time.monotonic() >= deadline_s:
                 self.make_safe()
@@ -259,6 +259,13 @@ class BoxTrigger:
             "disarmed": "the box was disarmed, by a reset perhaps; call configure() again.",
         }
         return f"the trigger gave no pulse: {known.get(reason, reason)}"
+
+    def _read(self, command: str) -> list[str]:
+        """Ask what changes nothing, once more if no whole answer came: a wire may damage one."""
+        try:
+            return self._ask(command, patience_s=0.5 * REPLY_S)
+        except DeadlineError:
+            return self._ask(command)
 
     def _ask(
         self,

@@ -41,7 +41,7 @@ def test_every_test_of_the_file_passes(file, tmp_path):
         ["umockdev-wrapper", *command, f"--basetemp={tmp_path / 'inside'}"],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,  # against a hang; 10 to 27 s each at a load of ten
         env=inside,
         cwd=FOLDER.parents[2],
         check=False,
