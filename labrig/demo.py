@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import labrig
 from labrig.config import config_folder
+
+if TYPE_CHECKING:
+    from labrig.scene.picture import Truth
 
 Counted = Callable[[str, int, int], None]
 
@@ -23,15 +27,24 @@ class Recovered:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Demo:
-    """What a demonstration recovered, by the parameters' names in run.json, and where it lies."""
+    """What a demonstration recovered, by the parameters' names in run.json, and where it lies.
+
+    ``verification`` is the bounces' figure beside their truth, and how far each is off; None
+    where that was not asked for.
+    """
 
     parameters: dict[str, Recovered]
     session: Path
     report: Path
+    verification: tuple[Path, dict[int, float]] | None = None
 
 
 def run(
-    out: Path, *, scene: Path | None = None, progress: Callable[[str, int, int], None] | None = None
+    out: Path,
+    *,
+    scene: Path | None = None,
+    verify: bool = False,
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> Demo:
     """Capture a scene on the simulated rig, analyse it, and report it with its truth.
 
@@ -39,6 +52,7 @@ def run(
     ----------
     out : folder for session and report
     scene : scene file; else the paper's diluted milk
+    verify : also draw each recovered bounce beside the one that the simulated light is made of
     progress : called with (what, done, all)
     """
     from labrig.models.analysis import STAGES  # noqa: PLC0415 - loads the solver
@@ -54,6 +68,9 @@ def run(
         folder / "rigs" / "simulated.yaml", milk, plan, progress=follow("light")
     ) as rig:
         session = labrig.capture(plan, rig, out, progress=follow("capture"))
+        truth, gain_dn_per_e = (
+            (rig.truth(), rig.config.camera.gain_dn_per_e) if verify else (None, None)
+        )
     result = labrig.analyse(
         session,
         folder / "analyses" / "default.yaml",
@@ -65,4 +82,19 @@ def run(
         name: Recovered(truth=true, value=result.run[name]["value"], std=result.run[name]["std"])
         for name, true in result.run["truth"].items()
     }
-    return Demo(parameters=parameters, session=session, report=page)
+    drawn = _verify(result, truth, gain_dn_per_e) if truth is not None else None
+    return Demo(parameters=parameters, session=session, report=page, verification=drawn)
+
+
+def _verify(
+    result: labrig.Result, truth: Truth, gain_dn_per_e: float | None
+) -> tuple[Path, dict[int, float]]:
+    """Draw the bounces beside their truth; return the figure, and how far each is off."""
+    from labrig.figures import save  # noqa: PLC0415 - matplotlib takes a second to load
+    from labrig.figures_orders import verification_figure  # noqa: PLC0415
+    from labrig.verification import verify_bounces  # noqa: PLC0415
+
+    found = verify_bounces(result, truth, gain_dn_per_e=gain_dn_per_e or 1.0)
+    stem = result.path / "figures" / "verification"
+    save(verification_figure(found), stem)
+    return stem.with_suffix(".png"), {one.bounce: one.rms_relative for one in found.orders}

@@ -13,7 +13,7 @@ from labrig.figures import (
     residual_figure,
     separation_figure,
 )
-from labrig.figures_inversion import stripes_figure
+from labrig.figures_inversion import identifiability_figure, stripes_figure
 from labrig.results import Result
 
 FIGURES: dict[str, tuple[Draw, str]] = {  # and the field that each needs
@@ -21,6 +21,7 @@ FIGURES: dict[str, tuple[Draw, str]] = {  # and the field that each needs
     "closure": (closure_figure, "closure"),
     "attenuation": (attenuation_figure, "single_profile"),
     "stripes": (stripes_figure, "stripe_wave"),
+    "identifiability": (identifiability_figure, "profile_chi2"),
     "bounces": (bounces_figure, "fluence"),
     "light-field": (light_field_figure, "light_field"),
     "residual": (residual_figure, "residual"),

@@ -99,6 +99,42 @@ def stripes_figure(result: Result) -> Figure:
         return figure
 
 
+def identifiability_figure(result: Result) -> Figure:
+    """Draw the profile likelihood of g, and how the parameters' errors go together."""
+    g, above = (result.fields[n].values for n in ("profile_g", "profile_chi2"))
+    quality = result.run["quality"]["stripe_aware"]
+    with rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH_IN, 3.7), layout="constrained")
+        curve, together = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
+        bend = np.polyfit(g - g.mean(), above, 2)
+        fine = np.linspace(g[0], g[-1], 200)
+        parabola = np.polyval(bend, fine - g.mean())
+        curve.plot(fine, parabola, color="#9aa1a9", lw=1.2, label="parabola")
+        curve.plot(g, above, "o", color=BLUE, ms=6, label="all but g fitted anew")
+        for stds in (1, 2, 3):
+            curve.axhline(stds**2, color=INK, lw=0.7, ls=(0, (3, 3)))
+            text = f" {stds} std"
+            curve.text(1.0, stds**2, text, va="center", transform=curve.get_yaxis_transform())
+        curve.set(title="(a) profile likelihood of g", xlabel="g", ylabel="χ² above its least")
+        curve.set_ylim(-0.4, 1.35 * float(above.max()))
+        curve.locator_params(axis="x", nbins=6)
+        curve.legend(loc="upper center")
+        _correlations(together, np.array(quality["correlation"] or np.full((3, 3), np.nan)))
+        together.set_title(f"(b) correlation; condition number {quality['condition']:.1f}")
+        return figure
+
+
+def _correlations(panel: Axes, correlation: views.Array) -> None:
+    panel.imshow(correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+    names = list(SYMBOLS.values())
+    panel.set(xticks=range(3), yticks=range(3), xticklabels=names, yticklabels=names)
+    panel.spines[["top", "right"]].set_visible(True)
+    for (row, column), value in np.ndenumerate(correlation):
+        colour = "white" if abs(value) > 0.6 else INK
+        text = f"{value:+.2f}".replace("-", "−")
+        panel.text(column, row, text, ha="center", va="center", color=colour)
+
+
 _SUFFIX = ("", "_std", "_fit")
 
 

@@ -130,6 +130,14 @@ def _waves(joint: Joint | None, unit: str) -> dict[str, Field]:
         ("white_wave_fit", waved, fit.white_fit.real, light, "its model, all bounces"),
     ):
         found[name] = Field(dims=dims, values=np.asarray(values), unit=of, meaning=meaning)
+    if fit.profile_g.size:
+        found["profile_g"] = _axis("profile_g", fit.profile_g[:, 0], "1")
+        found["profile_chi2"] = Field(
+            dims=("profile_g",),
+            values=fit.profile_g[:, 1],
+            unit="1",
+            meaning="chi^2 above its least for a g that is held, all else fitted anew",
+        )
     return found
 
 

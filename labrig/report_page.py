@@ -86,6 +86,12 @@ CAPTIONS = {
         "that was scattered once: what lies above it keeps the stripes and is no single "
         "scattering. Below, what the model leaves, and one std of the camera's noise.",
     ),
+    "identifiability": (
+        "What the data tell apart",
+        "How much worse the fit of stripes and white light becomes with g held elsewhere and all "
+        "else fitted anew: a parabola says that the stated std holds to three of them, a flat "
+        "curve that g is not determined. Beside it, how the errors of the parameters go together.",
+    ),
     "bounces": (
         "Bounce by bounce",
         "Each bounce as computed with the parameters found, averaged across the beam. The peaks "

@@ -139,6 +139,16 @@ def session_copy(small_session: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
+def coarse(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An analysis file for tests that ask no more of the solver than that it answers."""
+    path = tmp_path_factory.mktemp("analysis") / "coarse.yaml"
+    path.write_text(
+        "schema: labrig-analysis/1\nn_theta: 32\nn_bounces: 4\nn_g: 3\ng_range: [-0.5, 0.7]\n"
+    )
+    return path
+
+
+@pytest.fixture(scope="session")
 def write_manifest() -> ManifestWriter:
     """Return ``write(folder, frames, **keys)``: an import manifest, 12 bits unless told."""
 

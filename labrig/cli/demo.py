@@ -18,11 +18,14 @@ def demo(
         "demo"
     ),
     scene: Annotated[Path | None, typer.Option(help="Scene file; else diluted milk.")] = None,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Also draw every bounce beside the true one.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Capture, analyse and report diluted milk on the simulated rig."""
     with bars() as follow:
-        found = demonstration.run(out, scene=scene, progress=follow)
+        found = demonstration.run(out, scene=scene, verify=verify, progress=follow)
     if as_json:
         say_json(
             {
@@ -45,5 +48,10 @@ def demo(
         table.add_row(name, f"{p.truth:.5g}", f"{p.value:.5g} ± {std}", off)
     out_console.print(table)
     say("± is statistical; the paper's way (Eqs. 9, 10) stands in the report beside it.")
+    if found.verification is not None:
+        figure, misses = found.verification
+        told = ", ".join(f"{k}: {100 * rms:.1f} %" for k, rms in misses.items())
+        say(f"bounces off the truth (rms)  {told}")
+        say(f"figure   {figure}")
     say(f"session  {found.session}")
     say(f"report   {found.report}")
