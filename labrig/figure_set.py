@@ -10,6 +10,7 @@ from labrig.figures import (
     bounces_figure,
     closure_figure,
     light_field_figure,
+    remainder_figure,
     residual_figure,
     separation_figure,
 )
@@ -22,6 +23,7 @@ FIGURES: dict[str, tuple[Draw, str]] = {  # and the field that each needs
     "attenuation": (attenuation_figure, "single_profile"),
     "stripes": (stripes_figure, "stripe_wave"),
     "identifiability": (identifiability_figure, "profile_chi2"),
+    "remainder": (remainder_figure, "remainder"),
     "bounces": (bounces_figure, "fluence"),
     "light-field": (light_field_figure, "light_field"),
     "residual": (residual_figure, "residual"),

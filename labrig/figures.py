@@ -194,21 +194,36 @@ def light_field_figure(result: Result) -> Figure:
 @_styled
 def residual_figure(result: Result) -> Figure:
     """Draw multiple scattering as measured, as the bounces explain it, and the rest (Eq. 10)."""
-    multiple, left = (result.fields[name].values for name in ("multiple", "residual"))
-    whole = {
-        "(a) multiple, measured": multiple,
-        "(b) multiple, Eq. 10": np.where(np.isfinite(left), multiple - left, 0.0),
-        "(c) residual, (a) − (b)": left,
-    }
-    pictures = [views.on_nodes(result, values) for values in whole.values()]
+    return _explained(
+        result,
+        ("multiple", "residual"),
+        ("(a) multiple, measured", "(b) multiple, Eq. 10", "(c) residual, (a) − (b)"),
+    )
+
+
+@_styled
+def remainder_figure(result: Result) -> Figure:
+    """Draw white light as measured, as all bounces of the medium found explain it, and the rest."""
+    return _explained(
+        result,
+        ("lit", "remainder"),
+        ("(a) white light, measured", "(b) all bounces", "(c) remainder, (a) − (b)"),
+    )
+
+
+def _explained(result: Result, names: tuple[str, str], titles: tuple[str, str, str]) -> Figure:
+    light, left = (result.fields[name].values for name in names)
+    model = np.where(np.isfinite(left), light - left, 0.0)
+    pictures = [views.on_nodes(result, values) for values in (light, model, left)]
     lit = views.lit_part(pictures[:2])
-    measured, model, rest = (picture.around(lit) for picture in pictures)
-    norm = Normalize(0.0, max(views.brightest(picture.values) for picture in (measured, model)))
+    measured, explained, rest = (picture.around(lit) for picture in pictures)
+    top = max(views.brightest(picture.values) for picture in (measured, explained))
+    norm = Normalize(0.0, top)
     figure, panels = _panels(measured, 3, bars=(False, True, True))
     _show(panels[0], measured, norm)
-    _bar(figure, panels[1], _show(panels[1], model, norm), "light (counts/s)")
+    _bar(figure, panels[1], _show(panels[1], explained, norm), "light (counts/s)")
     _bar(figure, panels[2], _show(panels[2], rest), "light (counts/s)", extend="both")
-    for panel, title in zip(panels, whole, strict=True):
+    for panel, title in zip(panels, titles, strict=True):
         panel.set_title(title)
     return figure
 

@@ -16,6 +16,7 @@ from labrig.models.setup import Setup
 from labrig.record import Outcome, run_of
 from labrig.record_fields import fields_of
 from labrig.rectify import rectify
+from labrig.remainder import remainder
 from labrig.results import Result, read_results, results_of, write_results
 from labrig.session import Session
 from labrig.steps import attenuate, explain, render_bounces, separate
@@ -69,7 +70,7 @@ def analyse(
     parent = out or results_of(session_path)
     setup = parse(session.header.get("setup"), Setup, source=f"{session_path}: setup")
     setup, known = shone(setup, gather(session, setup, config))
-    decay = joint = explained = None
+    decay = joint = explained = left = None
 
     watch.start("linearise")
     radiances = linearise(session, setup, known)
@@ -86,6 +87,7 @@ def analyse(
         table = render_bounces(decay, pictures, config)
         watch.start("invert")
         explained = explain(separated, decay, table, pictures, joint.medium)
+        left = remainder(pictures, setup, decay, joint, explained.grid)
     watch.start("write")
     outcome = Outcome(
         session=session,
@@ -97,6 +99,7 @@ def analyse(
         decay=decay,
         joint=joint,
         explained=explained,
+        remainder=left,
         seconds=watch.seconds,
     )
     return read_results(write_results(parent, run_of(outcome), *fields_of(outcome)))

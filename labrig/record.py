@@ -22,6 +22,7 @@ from labrig.joint_step import Joint
 from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
 from labrig.rectify import Pictures
+from labrig.remainder import Remainder
 from labrig.session import Session
 from labrig.steps import POOR_FIT, Decay, Explained, Separated
 
@@ -30,7 +31,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """All that a run of the pipeline found; the last three None if it stopped after separation."""
+    """All that a run of the pipeline found; those behind None if it stopped after separation."""
 
     session: Session
     setup: Setup
@@ -41,6 +42,7 @@ class Outcome:
     decay: Decay | None
     joint: Joint | None
     explained: Explained | None
+    remainder: Remainder | None
     seconds: Mapping[str, float]
 
 
@@ -191,6 +193,11 @@ def _quality(outcome: Outcome) -> dict[str, Any]:
             found["attenuation_unseparated"] = _fit_quality(other)
         if outcome.joint is not None and outcome.joint.fit is not None:
             found["stripe_aware"] = _joint_quality(outcome.joint.fit)
+        if outcome.remainder is not None:
+            found["stripe_aware"]["picture"] = {
+                "rms_relative": outcome.remainder.rms_relative,
+                "chi2": outcome.remainder.chi2,
+            }
         inversion = outcome.explained.inversion
         found["inversion"] = {
             "rms_relative": inversion.rms_relative,

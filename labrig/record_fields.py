@@ -13,6 +13,7 @@ from analysis.light_field import BounceField
 from analysis.profile import DepthProfile
 from labrig.joint_step import Joint
 from labrig.record import Outcome, bright, closure_of, scale_c_of
+from labrig.remainder import Remainder
 from labrig.results import Field
 from labrig.steps import Decay, Explained
 
@@ -161,6 +162,21 @@ def _bounces(outcome: Outcome, explained: Explained) -> dict[str, Field]:
             unit="counts/s",
             meaning="multiple less its model (Eq. 10)",
         ),
+        **_remainder(outcome.remainder),
+    }
+
+
+def _remainder(left: Remainder | None) -> dict[str, Field]:
+    """Return the white light on the nodes, and what its model leaves."""
+    if left is None:
+        return {}
+    told = {
+        "lit": (left.white, "mean of the shifts as a wholly lit field"),
+        "remainder": (left.residual, "lit less all bounces of its fit"),
+    }
+    return {
+        name: Field(dims=("y", "x"), values=values, unit="counts/s", meaning=meaning)
+        for name, (values, meaning) in told.items()
     }
 
 

@@ -92,6 +92,12 @@ CAPTIONS = {
         "else fitted anew: a parabola says that the stated std holds to three of them, a flat "
         "curve that g is not determined. Beside it, how the errors of the parameters go together.",
     ),
+    "remainder": (
+        "What all bounces leave of the white light",
+        "White light as measured, the picture of the medium found with all its bounces and the "
+        "side walls, and the difference. Lines along the edges of the beam are those of a picture "
+        "put together from a limited number of waves.",
+    ),
     "bounces": (
         "Bounce by bounce",
         "Each bounce as computed with the parameters found, averaged across the beam. The peaks "
