@@ -56,10 +56,10 @@ figures: install  ## the pictures of the README, from a run of the demo and of l
 	@$(BIN)/python docs/examples/gallery.py docs/images/gallery.png
 
 hardware-packages:  ## Debian packages that the tests of the drivers need
-	apt-get install -qy --no-install-recommends $(HARDWARE_PACKAGES)
+	@dpkg -s $(HARDWARE_PACKAGES) >/dev/null 2>&1 || apt-get install -qy --no-install-recommends $(HARDWARE_PACKAGES)
 
 vm-packages: hardware-packages  ## and those that the virtual machine needs
-	apt-get install -qy --no-install-recommends $(VM_PACKAGES)
+	@dpkg -s $(VM_PACKAGES) >/dev/null 2>&1 || apt-get install -qy --no-install-recommends $(VM_PACKAGES)
 
 genicam: install  ## Aravis' Python binding into .venv: Debian's if the Pythons are alike, else built
 	@$(BIN)/python -c 'import gi' 2>/dev/null || \

@@ -76,7 +76,7 @@ class Grid:
         """Directions of travel, (n_theta,)."""
         return equal_angles(self.n_theta)
 
-    def average(self, picture: Array, pixel_mm: float) -> tuple[Array, Array]:
+    def average(self, picture: NDArray[np.floating[Any]], pixel_mm: float) -> tuple[Array, Array]:
         """Return mean and number of a picture's finite pixels around each node, (n_y, n_x) both.
 
         The picture (rows, cols) begins at the corner of the tank. NaN where no pixel is finite.

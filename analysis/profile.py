@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from analysis.errors import AnalysisError
 from analysis.medium import Beam
 
 Array = NDArray[np.float64]
+Picture = NDArray[np.floating[Any]]  # single precision will do
 
 # Where some pixels are saturated, those left are the darker ones: a mean of them would be low.
 WHOLE = 0.95
@@ -41,8 +43,8 @@ class DepthProfile:
 
 
 def depth_profile(
-    picture: Array,
-    variance: Array,
+    picture: Picture,
+    variance: Picture,
     pixel_mm: float,
     beam: Beam,
     *,
@@ -79,9 +81,9 @@ def depth_profile(
         msg = "fewer than four depths have valid pixels; the beam is saturated or out of view."
         raise AnalysisError(msg)
     counted = np.maximum(n, 1)
-    mean = np.where(use, picture, 0.0).sum(axis=0) / counted
+    mean = np.where(use, picture, 0.0).sum(axis=0, dtype=np.float64) / counted
     scatter = np.where(use, (picture - mean) ** 2, 0.0).sum(axis=0) / np.maximum(n - 1, 1)
-    known = np.where(use, variance, 0.0).sum(axis=0) / counted
+    known = np.where(use, variance, 0.0).sum(axis=0, dtype=np.float64) / counted
     seen = use if detected is None else use & detected
     of_one = np.where(np.isfinite(known), known, scatter)
     return DepthProfile(

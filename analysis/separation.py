@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from analysis import separation_kernels as kernels
 from analysis.errors import AnalysisError
 
-Array = NDArray[np.float64]
-Stack = NDArray[np.floating[Any]]
+Array = NDArray[np.floating[Any]]
 Method = Literal["extrema", "known-pattern", "harmonic"]
 
 MIN_PHASES = 4  # of an unknown phase; fewer alias the second harmonic onto the first
@@ -27,7 +26,7 @@ MIN_SPREAD = 2.5e-4  # mean square of a known pattern about its mean, below whic
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Separation:
-    """Direct and global light of a wholly lit field.
+    """Direct and global light of a wholly lit field, in the precision of the input.
 
     Attributes
     ----------
@@ -49,7 +48,7 @@ class Separation:
 
 
 def separate_extrema(
-    net: Stack, variance: Stack, duty: float = 0.5, leak: float | Array = 0.0
+    net: Array, variance: Array, duty: float = 0.5, leak: float | Array = 0.0
 ) -> Separation:
     """Separate by the extremes over the shifts: Eqs. 7 and 8 of the paper.
 
@@ -73,7 +72,7 @@ def separate_extrema(
     if not np.nanmax(leak) < 1.0:
         msg = f"a leak of {float(np.nanmax(leak)):g} of white: black must be darker than white."
         raise AnalysisError(msg)
-    found = _empty("extrema", net.shape[1:])
+    found = _empty("extrema", net)
     kernels.extrema(net, variance, duty, *_parts(found))
     if np.any(leak):
         floor = np.asarray(leak) + (1.0 - np.asarray(leak)) * duty
@@ -92,7 +91,7 @@ def separate_extrema(
     return found
 
 
-def separate_known(net: Stack, variance: Stack, pattern: Stack, duty: float = 0.5) -> Separation:
+def separate_known(net: Array, variance: Array, pattern: Array, duty: float = 0.5) -> Separation:
     """Separate by least squares with the known pattern of every picture.
 
     ``(D, G) = argmin sum_k w_k (net_k - D p_k - G duty)^2``, the weights at a pixel being those of
@@ -114,7 +113,7 @@ def separate_known(net: Stack, variance: Stack, pattern: Stack, duty: float = 0.
     if pattern.shape[0] != net.shape[0] or pattern.shape[1] != net.shape[1]:
         msg = f"a pattern of shape {pattern.shape} for pictures of {net.shape}: one each is needed."
         raise AnalysisError(msg)
-    found = _empty("known-pattern", net.shape[1:])
+    found = _empty("known-pattern", net)
     told = kernels.known(net, variance, pattern, duty, MIN_SPREAD * net.shape[0], *_parts(found))
     if not told:
         msg = "the known pattern does not change from picture to picture; is its phase right?"
@@ -123,7 +122,7 @@ def separate_known(net: Stack, variance: Stack, pattern: Stack, duty: float = 0.
 
 
 def separate_harmonic(
-    net: Stack, variance: Stack, *, contrast: float | Array, duty: float
+    net: Array, variance: Array, *, contrast: float | Array, duty: float
 ) -> Separation:
     """Separate by the first harmonic over the shifts, whatever the pattern's phase.
 
@@ -146,14 +145,14 @@ def separate_harmonic(
     _refuse_stack(net, variance)
     n, _, cols = net.shape
     refuse_few_phases(n)
-    c1 = np.broadcast_to(np.asarray(contrast, dtype=np.float64), (cols,))
+    c1 = np.broadcast_to(np.asarray(contrast, dtype=net.dtype), (cols,))
     if not (c1 > 0.0).all():
         msg = f"contrast {float(c1.min()):g} of the stripes is not positive; measure c1."
         raise AnalysisError(msg)
-    found = _empty("harmonic", net.shape[1:])
+    found = _empty("harmonic", net)
     turn = 2.0 * np.pi * np.arange(n) / n
     wave = np.stack([np.cos(turn), -np.sin(turn)]) * (2.0 / n)
-    kernels.harmonic(net, variance, wave, 1.0 / c1, duty, *_parts(found))
+    kernels.harmonic(net, variance, wave.astype(net.dtype), 1.0 / c1, duty, *_parts(found))
     return found
 
 
@@ -207,15 +206,18 @@ def square_contrast(duty: float) -> float:
     return 2.0 / math.pi * math.sin(math.pi * duty)
 
 
-def _empty(method: Method, shape: tuple[int, ...]) -> Separation:
+def _empty(method: Method, net: Array) -> Separation:
+    shape = net.shape[1:]
+    # One block, which comes in huge pages where five of a few MB come in thousands of small ones
+    single, multiple, of_single, of_multiple, chi2 = np.empty((5, *shape), net.dtype)
     return Separation(
         method=method,
-        single=np.empty(shape),
-        multiple=np.empty(shape),
-        single_variance=np.empty(shape),
-        multiple_variance=np.empty(shape),
+        single=single,
+        multiple=multiple,
+        single_variance=of_single,
+        multiple_variance=of_multiple,
         detected=np.empty(shape, dtype=np.bool_),
-        chi2=np.empty(shape),
+        chi2=chi2,
     )
 
 
@@ -231,7 +233,7 @@ def _parts(found: Separation) -> tuple[Array, ...]:
     )
 
 
-def _refuse_stack(net: Stack, variance: Stack) -> None:
+def _refuse_stack(net: Array, variance: Array) -> None:
     if net.ndim != 3 or variance.shape != net.shape or net.shape[0] < 2:
         msg = (
             f"stripe pictures of shape {net.shape} with variance {variance.shape}: "

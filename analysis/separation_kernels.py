@@ -1,7 +1,8 @@
 """Kernels of the separation: one pass over the shifts, with variances and mask.
 
-Each fills pictures (rows, cols) from stacks (n, rows, cols); the equations stand in
-`analysis.separation`.
+Each fills pictures (rows, cols) from stacks (n, rows, cols) and reckons in the precision of these;
+the equations stand in `analysis.separation`. Inner loops run over pixels without a division or a
+number of another precision that can be had outside, or they are no vectors of full width.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ def extrema(  # noqa: PLR0913, PLR0917 - a compiled kernel takes its arrays one 
     ends, noise = np.empty((3, BLOCK), net.dtype), np.empty((2, BLOCK), variance.dtype)
     high, low, total = ends
     of_high, of_low = noise
+    per_duty, unknown = net.dtype.type(1.0 / duty), net.dtype.type(np.nan)
     for y in range(rows):
         for begin in range(0, cols, BLOCK):
             size = min(BLOCK, cols - begin)
@@ -52,14 +54,14 @@ def extrema(  # noqa: PLR0913, PLR0917 - a compiled kernel takes its arrays one 
                     of_low[i] = spread if value < low[i] else of_low[i]
                     low[i] = value if value < low[i] else low[i]
             for i in range(size):
-                lost = 0.0 * total[i]  # NaN where a shift was saturated
+                lost = total[i] - total[i]  # NaN where a shift was saturated
                 x = begin + i
                 single[y, x] = high[i] - low[i] + lost
-                multiple[y, x] = low[i] / duty + lost
+                multiple[y, x] = low[i] * per_duty + lost
                 single_variance[y, x] = of_high[i] + of_low[i] + lost
-                multiple_variance[y, x] = of_low[i] / duty**2 + lost
-                chi2[y, x] = np.nan
-                detected[y, x] = _seen(single[y, x], single_variance[y, x])
+                multiple_variance[y, x] = of_low[i] * per_duty * per_duty + lost
+                chi2[y, x] = unknown
+            _see(single[y], single_variance[y], detected[y], begin, begin + size)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -86,6 +88,9 @@ def known(  # noqa: PLR0913, PLR0917
     p1, p2 = sums[:2]
     alike = pattern.shape[2] == 1
     told = False
+    per_n, per_duty = net.dtype.type(1.0 / n), net.dtype.type(1.0 / duty)
+    one, unknown = net.dtype.type(1.0), net.dtype.type(np.nan)
+    per_freedom = net.dtype.type(n / (n - 2) if n > 2 else np.nan)
     for y in range(rows):
         for k in range(n):
             lit[k] = pattern[k, y, 0]
@@ -95,16 +100,17 @@ def known(  # noqa: PLR0913, PLR0917
                 lit[k, : end - begin] = pattern[k, y, begin:end]
             _sum_shifts(net, variance, lit, y, begin, end, sums)
             for i in range(end - begin):
-                p = p1[i] / n
-                spread = p2[i] - n * p * p
+                p = p1[i] * per_n
+                spread = p2[i] - p1[i] * p
                 told |= spread > least
-                p1[i], p2[i] = p, 1.0 / spread if spread > least else np.nan
+                p1[i], p2[i] = p, one / spread if spread > least else unknown
             of_direct, of_rest = single_variance[y, begin:end], multiple_variance[y, begin:end]
             direct, rest, left = single[y, begin:end], multiple[y, begin:end], chi2[y, begin:end]
-            _solve_block(sums, net[0, y, begin:end], n, duty, direct, rest, left)
-            _spread_block(sums, n, duty, of_direct, of_rest)
-            for x in range(begin, end):
-                detected[y, x] = _seen(single[y, x], single_variance[y, x])
+            _solve_block(
+                sums, net[0, y, begin:end], per_n, per_duty, per_freedom, direct, rest, left
+            )
+            _spread_block(sums, per_n, per_duty, of_direct, of_rest)
+            _see(single[y], single_variance[y], detected[y], begin, end)
     return told
 
 
@@ -142,38 +148,39 @@ def _sum_shifts(
 def _solve_block(
     sums: Stack,
     first: Stack,
-    n: int,
-    duty: float,
+    per_n: float,
+    per_duty: float,
+    per_freedom: float,
     single: Array,
     multiple: Array,
     chi2: Array,
 ) -> None:
     """Fill a block (size,) with D, G and chi2; ``sums`` holds mean p and 1 / its spread."""
     p1, p2, y1, y2, py, v1, _, _ = sums
-    per_freedom = n / (n - 2) if n > 2 else np.nan
     for i in range(single.size):
-        mean = y1[i] / n
-        cross = py[i] - n * p1[i] * mean
+        mean = y1[i] * per_n
+        cross = py[i] - p1[i] * y1[i]
         direct = cross * p2[i]
         single[i] = direct
-        multiple[i] = (first[i] + mean - p1[i] * direct) / duty
-        chi2[i] = (y2[i] - n * mean * mean - direct * cross) / v1[i] * per_freedom
+        multiple[i] = (first[i] + mean - p1[i] * direct) * per_duty
+        chi2[i] = (y2[i] - y1[i] * mean - direct * cross) / v1[i] * per_freedom
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _spread_block(
-    sums: Stack, n: int, duty: float, single_variance: Array, multiple_variance: Array
+    sums: Stack, per_n: float, per_duty: float, single_variance: Array, multiple_variance: Array
 ) -> None:
     """Fill a block (size,) with the variances of D and G; NaN where a shift was saturated."""
     p1, p2, y1, _, _, v1, pv, ppv = sums
     for i in range(single_variance.size):
         p = p1[i]
         # sums over shifts of (p - mean p)^2 V and (p - mean p) V
-        square, tilted = ppv[i] - 2.0 * p * pv[i] + p * p * v1[i], pv[i] - p * v1[i]
-        of_direct = square * p2[i] * p2[i] + 0.0 * y1[i]
-        of_rest = v1[i] / n**2 - 2.0 * p / n * tilted * p2[i] + p * p * of_direct
+        tilted = pv[i] - p * v1[i]
+        square = ppv[i] - p * (pv[i] + tilted)
+        of_direct = square * p2[i] * p2[i] + (y1[i] - y1[i])
+        of_mean = per_n * (per_n * v1[i] - (p + p) * tilted * p2[i])
         single_variance[i] = of_direct
-        multiple_variance[i] = of_rest / duty**2
+        multiple_variance[i] = (of_mean + p * p * of_direct) * per_duty * per_duty
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -192,35 +199,50 @@ def harmonic(  # noqa: PLR0913, PLR0917
 ) -> None:
     """Fill the pictures by the first harmonic; ``wave`` is (2, n), cosine and sine times 2/N."""
     n, rows, cols = net.shape
-    lines = np.empty((5, cols))
+    sums = np.empty((5, BLOCK), net.dtype)
+    real, imaginary, y1, y2, v1 = sums
+    per_n, per_duty = net.dtype.type(1.0 / n), net.dtype.type(1.0 / duty)
+    half_n, per_half_n = net.dtype.type(0.5 * n), net.dtype.type(2.0 / n)
+    per_freedom, none = net.dtype.type(n / (n - 3)), net.dtype.type(0.0)
     for y in range(rows):
-        lines[:] = 0.0
-        real, imaginary, y1, y2, v1 = lines
-        for k in range(n):
-            for x in range(cols):
-                value = np.float64(net[k, y, x])
-                real[x] += wave[0, k] * value
-                imaginary[x] += wave[1, k] * value
-                y1[x] += value
-                y2[x] += value * value
-                v1[x] += variance[k, y, x]
-        for x in range(cols):
-            mean, noise = y1[x] / n, v1[x] / n
-            power = real[x] ** 2 + imaginary[x] ** 2
-            left = y2[x] - n * mean * mean - 0.5 * n * power
-            debiased = power - (4.0 / n * noise if noise >= 0.0 else 0.0)
-            direct = np.sqrt(debiased if debiased > 0.0 else 0.0 * mean) * per_contrast[x]
-            of_direct = 2.0 / n * noise * per_contrast[x] ** 2 + 0.0 * mean
-            single[y, x] = direct
-            multiple[y, x] = mean / duty - direct
-            single_variance[y, x] = of_direct
-            multiple_variance[y, x] = noise / n / duty**2 + of_direct
-            detected[y, x] = _seen(direct, of_direct)
-            chi2[y, x] = left / noise / (n - 3)
+        for begin in range(0, cols, BLOCK):
+            size = min(BLOCK, cols - begin)
+            sums[:] = 0.0
+            first = net[0, y, begin : begin + size]
+            for k in range(n):
+                values, spreads = net[k, y, begin:], variance[k, y, begin:]
+                cosine, sine = wave[0, k], wave[1, k]
+                for i in range(size):
+                    value = values[i] - first[i]
+                    real[i] += cosine * value
+                    imaginary[i] += sine * value
+                    y1[i] += value
+                    y2[i] += value * value
+                    v1[i] += spreads[i]
+            for i in range(size):
+                x = begin + i
+                mean, noise = y1[i] * per_n, v1[i] * per_n
+                power = real[i] * real[i] + imaginary[i] * imaginary[i]
+                left = y2[i] - y1[i] * mean - half_n * power
+                spread = per_half_n * noise
+                debiased = power - (spread + spread if noise >= none else none)
+                lost = mean - mean  # NaN where a shift was saturated
+                direct = np.sqrt(debiased if debiased > none else lost) * per_contrast[x]
+                of_mean = noise * per_n * per_duty * per_duty
+                of_direct = spread * per_contrast[x] * per_contrast[x] + lost
+                single[y, x] = direct
+                multiple[y, x] = (first[i] + mean) * per_duty - direct
+                single_variance[y, x] = of_direct
+                multiple_variance[y, x] = of_mean + of_direct
+                chi2[y, x] = left / v1[i] * per_freedom
+            _see(single[y], single_variance[y], detected[y], begin, begin + size)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _seen(direct: float, variance: float) -> bool:
-    """Return whether direct light exceeds its noise; if that is unknown, whether there is any."""
-    bright = (direct > 0.0) & (direct * direct > DETECTION_SNR**2 * variance)
-    return bool(bright | (np.isnan(variance) & np.isfinite(direct)))
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _see(single: Array, variance: Array, detected: NDArray[np.uint8], begin: int, end: int) -> None:
+    """Mark where in a row direct light exceeds its noise, if that is unknown where there is any."""
+    least, none = single.dtype.type(DETECTION_SNR**2), single.dtype.type(0.0)
+    direct, spread, seen = single[begin:end], variance[begin:end], detected[begin:end]
+    for i in range(end - begin):
+        d, v = direct[i], spread[i]
+        seen[i] = ((d > none) & (d * d > least * v)) | (np.isnan(v) & np.isfinite(d))

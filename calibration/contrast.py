@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,7 +151,7 @@ class ContrastAtDepth:
 
 
 def fit_contrast(
-    amplitude: Array, white: Array, depth: Array, *, unit: str, period_px: float
+    amplitude: NDArray[np.floating[Any]], white: Array, depth: Array, *, unit: str, period_px: float
 ) -> ContrastAtDepth:
     """Fit c1 against depth from stripes on a white target that lies along the depth.
 

@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 LINEAR_WITHIN = 0.02  # deviation from a line below which a camera counts as linear
 SMOOTH = 1e-3  # weight of second differences of the fitted response, per pixel and exposure
+HALF_LIT = 0.5  # pattern less inverse over white less black, below which a pixel is half lit
 MAX_FITTED_BITS = 8  # a table of more levels is not determined by a ramp
 
 
@@ -203,9 +204,51 @@ def fit_response(ramp: Ramp, *, smooth: float = SMOOTH) -> Response:
     return table_response("fitted", (2**ramp.bits - 1) * np.exp(log_f - log_f[-1]))
 
 
+@dataclass(frozen=True, slots=True)
+class PowerResponse:
+    """A camera whose counts above black are a power of light: ``counts = light^power``."""
+
+    power: float
+
+    @property
+    def at_half(self) -> float:
+        """How far the counts of half the light depart from half the counts, share of these."""
+        return float(2.0 ** (1.0 - self.power) - 1.0)
+
+    def light(self, counts: Array) -> Array:
+        """Return what counts above black stand for; noise below black stays below."""
+        return np.asarray(np.sign(counts) * np.abs(counts) ** (1.0 / self.power))
+
+    def closures(self, pairs: Sequence[tuple[Array, Array]], white: Array, black: Array) -> Array:
+        """Return the mean over pixels of ``(P + P_inv)/(W + B) - 1`` in light, (n_pairs,)."""
+        return np.asarray(self._gaps(pairs, white, black).mean(axis=1))
+
+    def by_mixture(self, pairs: Sequence[tuple[Array, Array]], white: Array, black: Array) -> Array:
+        """Return the mean of the same over all pairs, of pixels half lit and of others, (2,).
+
+        A bent response shows most where a pixel is half lit, and not at all where it is fully lit
+        by one of the two; light that is lost shows alike in both.
+        """
+        gaps = self._gaps(pairs, white, black)
+        lit = np.array([a - b for a, b in pairs]) / (white - black)
+        half = np.abs(lit) < HALF_LIT
+        return np.array([np.mean(gaps[half]) if half.any() else 0.0, np.mean(gaps[~half])])
+
+    def _gaps(self, pairs: Sequence[tuple[Array, Array]], white: Array, black: Array) -> Array:
+        whole = self.light(white) + self.light(black)
+        return np.array([(self.light(a) + self.light(b)) / whole - 1.0 for a, b in pairs])
+
+    def response(self, bits: int, black_level_dn: float) -> Response:
+        """Return it as a table over all counts, linear counts to the same white."""
+        top = 2**bits - 1
+        share = (np.arange(top + 1) - black_level_dn) / (top - black_level_dn)
+        table = black_level_dn + (top - black_level_dn) * self.light(share)
+        return table_response(f"power {self.power:.3f}", table)
+
+
 def power_of_pairs(
     pairs: Sequence[tuple[Array, Array]], white: Array, black: Array, bits: int
-) -> Response:
+) -> PowerResponse:
     """Fit the power response under which a pattern and its inverse add to white and black.
 
     Light adds, counts need not: ``counts = light^p`` is sought with the least mean square of
@@ -214,8 +257,9 @@ def power_of_pairs(
 
     Parameters
     ----------
-    pairs : counts (n_pixels,) of patterns and of their inverses, none saturated
-    white, black : (n_pixels,)
+    pairs : counts (n_pixels,) above the camera's black level of patterns and of their inverses,
+        none saturated
+    white, black : (n_pixels,), likewise
 
     Raises
     ------
@@ -228,17 +272,13 @@ def power_of_pairs(
         raise CalibrationError(msg)
 
     def off(power: float) -> float:
-        whole = white ** (1.0 / power) + black ** (1.0 / power)
-        gaps = [(a ** (1.0 / power) + b ** (1.0 / power)) / whole - 1.0 for a, b in pairs]
-        return float(np.mean([np.mean(gap) ** 2 for gap in gaps]))
+        return float(np.mean(PowerResponse(power).closures(pairs, white, black) ** 2))
 
     power = float(minimize_scalar(off, bounds=(0.5, 2.0), method="bounded").x)
     if not 0.51 < power < 1.99:
         msg = "a pattern and its inverse add to white under no power of the counts; linear frames?"
         raise CalibrationError(msg)
-    top = 2**bits - 1
-    table = top * (np.arange(top + 1) / top) ** (1.0 / power)
-    return table_response(f"power {power:.3f}", table)
+    return PowerResponse(power)
 
 
 def _normal_equations(ramp: Ramp) -> tuple[Array, Array]:

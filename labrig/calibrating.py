@@ -22,14 +22,6 @@ from calibration.photon_transfer import (
     measure_level,
 )
 from calibration.record import Conditions, Kind, NamedArray, Quantity, Record, array
-from calibration.response import (
-    LINEAR_WITHIN,
-    Ramp,
-    deviations_of,
-    fit_response,
-    linearity_of,
-    sample_ramp,
-)
 from labrig.conditions import conditions_of
 from labrig.config import parse
 from labrig.errors import AnalysisRefusedError
@@ -37,8 +29,8 @@ from labrig.models.plan import Shot
 from labrig.models.setup import Setup
 from labrig.session import Session
 
+Picture = NDArray[np.float64]
 Frames = Iterator[tuple[float, NDArray[np.uint16]]]
-MAX_RAMP = 12  # frames of a response's ramp that are held at once
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +85,17 @@ class Source:
         """Yield exposure and counts of shots, one after the other."""
         for shot in shots:
             yield shot.exposure_s, self.read(shot)
+
+    def mean(self, role: str, **wanted: object) -> Picture | None:
+        """Return the mean picture (rows, cols) of the shots of a role; None without any."""
+        total: Picture | None = None
+        n = 0
+        for shot in self.of(role):
+            if all(getattr(shot, key) == value for key, value in wanted.items()):
+                frame = self.read(shot)
+                total = frame.astype(np.float64) if total is None else total + frame
+                n += 1
+        return None if total is None else total / n
 
     def conditions(self) -> Conditions:
         """Return the conditions of the session."""
@@ -278,67 +281,8 @@ def _transfer_notes(found: PhotonTransfer) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def response_record(source: Source) -> Record:
-    """Return the linearity of a linear camera, or the fitted response of one that is not."""
-    role = "flat" if source.of("flat") else "white"
-    shots = source.needed(role, "take one unchanged scene at three exposures or more (role white).")
-    first = {shot.exposure_s: shot for shot in reversed(shots)}
-    chosen = tuple(first[t] for t in sorted(first))
-    if len(chosen) > MAX_RAMP:
-        chosen = tuple(chosen[k] for k in np.linspace(0, len(chosen) - 1, MAX_RAMP).astype(int))
-    camera = source.setup.camera
-    ramp = Ramp(
-        counts=sample_ramp([source.read(shot) for shot in chosen]),
-        exposures_s=np.array([shot.exposure_s for shot in chosen]),
-        bits=camera.bits,
-        black_level_dn=_black_level(source),
-        white_level_dn=camera.white_level_dn,
-    )
-    off = linearity_of(ramp)
-    quantities = {"linearity_rms": Quantity(value=off, unit="1")}
-    level = ("exposure",)
-    arrays = {
-        "exposure": array(level, ramp.exposures_s, "s", "exposures of the ramp"),
-        "deviation": array(level, deviations_of(ramp), "1", "over proportional counts, less 1"),
-    }
-    if off <= LINEAR_WITHIN:
-        notes = (
-            f"The camera is linear within {100 * off:.2f} % (limit {100 * LINEAR_WITHIN:.0f} %): "
-            "no response was fitted.",
-        )
-        return source.record(
-            "response",
-            chosen,
-            quantities,
-            arrays,
-            settings={"response": "linear"},
-            notes=notes,
-        )
-    found = fit_response(ramp)
-    arrays |= {
-        "count": array(("count",), np.arange(found.table.size), "DN", "counts of the camera"),
-        "linear": array(("count",), found.table, "DN", "linear counts, to the same white"),
-    }
-    notes = (
-        f"The camera departs from a line by {100 * off:.0f} %: a response was fitted. Its gain "
-        "and noise in linear counts are unknown, so that merged pictures have no variance.",
-    )
-    return source.record(
-        "response", chosen, quantities, arrays, settings={"response": "fitted"}, notes=notes
-    )
-
-
-def _black_level(source: Source) -> float:
-    """Return the mean of the dark frames, DN; without any the camera's declared black level."""
-    darks = source.of("dark")
-    if not darks:
-        return source.setup.camera.black_level_dn
-    return float(np.mean([source.read(shot).mean() for shot in darks]))
-
-
 RECORDS: dict[str, Callable[[Source], Record]] = {
     "dark": dark_record,
     "flat": flat_record,
     "photon-transfer": photon_transfer_record,
-    "response": response_record,
 }

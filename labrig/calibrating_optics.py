@@ -136,23 +136,11 @@ def projector_record(source: Source) -> Record:
     return source.record("projector", source.of(*roles), quantities, arrays, notes=tuple(notes))
 
 
-def _mean(source: Source, role: str, **wanted: object) -> Array | None:
-    """Return the mean picture (rows, cols) of the shots of a role; None without any."""
-    total: Array | None = None
-    n = 0
-    for shot in source.of(role):
-        if all(getattr(shot, key) == value for key, value in wanted.items()):
-            frame = source.read(shot)
-            total = frame.astype(np.float64) if total is None else total + frame
-            n += 1
-    return None if total is None else total / n
-
-
 def _grey(source: Source) -> Found:
     shots = source.of("grey-code")
     if not shots:
         return {}, {}, []
-    white, black = _mean(source, "white"), _mean(source, "black")
+    white, black = source.mean("white"), source.mean("black")
     size = source.setup.projector
     if white is None or black is None or size is None:
         msg = (
@@ -195,7 +183,7 @@ def _pairs(source: Source, axis: str, bits: list[int]) -> dict[int, tuple[Array,
     found = {}
     for bit in reversed(bits):
         plain, inverse = (
-            _mean(source, "grey-code", axis=axis, bit=bit, polarity=p) for p in ("plain", "inverse")
+            source.mean("grey-code", axis=axis, bit=bit, polarity=p) for p in ("plain", "inverse")
         )
         if plain is None or inverse is None:
             msg = f"bit {bit} of the Grey code along {axis} lacks plain or inverse; capture both."
@@ -224,7 +212,7 @@ def _transfer(
 ) -> Found:
     """Return the contrast of stripes against their period, from the bits of a Grey code."""
     camera = source.setup.camera.record()
-    whole = np.asarray(_mean(source, "white")) < camera.saturation_dn
+    whole = np.asarray(source.mean("white")) < camera.saturation_dn
     sure = found.valid & whole & (contrast > MIN_CONTRAST_SHARE * np.percentile(contrast, 99.0))
     measured = {}
     for bit, (plain, inverse) in pairs.items():
@@ -268,7 +256,7 @@ def _gamma(source: Source) -> Found:
     levels = sorted({shot.level for shot in source.of("ramp") if shot.level is not None})
     if not levels:
         return {}, {}, []
-    pictures = [_mean(source, "ramp", level=level) for level in levels]
+    pictures = [source.mean("ramp", level=level) for level in levels]
     brightest = np.asarray(pictures[-1]) - np.asarray(pictures[0])
     lit = brightest > 0.5 * np.percentile(brightest, 99.0)
     lost = float(
@@ -294,10 +282,10 @@ def _gamma(source: Source) -> Found:
 
 
 def _leak(source: Source) -> Found:
-    white, black = _mean(source, "white"), _mean(source, "black")
+    white, black = source.mean("white"), source.mean("black")
     if white is None or black is None:
         return {}, {}, []
-    ambient = _mean(source, "ambient")
+    ambient = source.mean("ambient")
     offset = source.setup.camera.black_level_dn if ambient is None else ambient
     leak = black_leak(white - offset, black - offset)
     notes = []

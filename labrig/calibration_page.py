@@ -27,9 +27,9 @@ CAPTIONS = {
     ),
     "response": (
         "Response",
-        "Counts of one unchanged scene at several exposures against proportional ones; a camera "
-        "within two percent counts as linear and is given no response. Else the rising curve that "
-        "makes the ramp proportional.",
+        "Counts of one unchanged scene at several exposures against proportional ones, or patterns "
+        "and their inverses against white and black; a camera within two percent counts as linear "
+        "and is given no response. Else the rising curve that makes them so.",
     ),
     "dark": (
         "Dark frames",

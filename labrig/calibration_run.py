@@ -10,11 +10,12 @@ from calibration.record import Record
 from labrig.board import load_board
 from labrig.calibrating import RECORDS, Source, flat_record
 from labrig.calibrating_optics import geometry_record, projector_record
+from labrig.calibrating_response import response_record
 from labrig.calibration_store import read_record, write_record
 from labrig.corrections import dark_of
 from labrig.errors import AnalysisRefusedError, ConfigError
 
-KINDS = (*RECORDS, "geometry", "projector")
+KINDS = (*RECORDS, "response", "geometry", "projector")
 
 
 def calibrate(
@@ -59,6 +60,7 @@ def _record(kind: str, source: Source, dark: Path | None, board: Path | None) ->
         return flat_record(source, dark_of(found))
     makers: dict[str, Callable[[Source], Record]] = {
         **RECORDS,
+        "response": response_record,
         "geometry": partial(geometry_record, board=load_board(board)),
         "projector": projector_record,
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,7 +126,7 @@ def _std(variance: float) -> float:
     return math.sqrt(variance) if math.isfinite(variance) and variance > 0.0 else math.nan
 
 
-def _along(picture: NDArray[np.float64]) -> NDArray[np.float64]:
+def _along(picture: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
     finite = np.isfinite(picture)
     count = np.maximum(finite.sum(axis=0), 1)
-    return np.asarray(np.where(finite, picture, 0.0).sum(axis=0) / count)
+    return np.asarray(np.where(finite, picture, 0.0).sum(axis=0, dtype=np.float64) / count)

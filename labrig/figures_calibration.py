@@ -87,18 +87,22 @@ def transfer_figure(record: Record) -> Figure:
 
 @_styled
 def response_figure(record: Record) -> Figure:
-    """Draw how the ramp departs from a line, and the response fitted to it if there is one."""
+    """Draw how far ramp or pairs are off a line, and the response fitted if there is one."""
     fitted = "linear" in record.arrays
     figure, panels = _figure(2 if fitted else 1)
-    t, off = _values(record, "exposure"), 100.0 * _values(record, "deviation")
     panels[0].axhline(0.0, color=RED, lw=1.2)
-    panels[0].plot(1e3 * t, off, "o", color=BLUE, ms=5)
-    panels[0].set(
-        title="Departure from proportional counts",
-        xlabel="exposure (ms)",
-        ylabel="departure (%)",
-        xscale="log",
-    )
+    if "exposure" in record.arrays:
+        t, off = _values(record, "exposure"), 100.0 * _values(record, "deviation")
+        panels[0].plot(1e3 * t, off, "o", color=BLUE, ms=5)
+        title, label = "Departure from proportional counts", "exposure (ms)"
+    else:
+        period = _values(record, "pair_period")
+        panels[0].plot(period, 100.0 * _values(record, "pair_closure"), "o", color=INK, mfc="none")
+        after = 100.0 * _values(record, "pair_closure_fitted")
+        panels[0].plot(period, after, "o", color=BLUE, ms=5)
+        panels[0].legend(["light adds", "counts", "other half's response"], loc="best")
+        title, label = "Pattern and inverse over white and black", "period (projector px)"
+    panels[0].set(title=title, xlabel=label, ylabel="departure (%)", xscale="log")
     if fitted:
         count, linear = _values(record, "count"), _values(record, "linear")
         panels[1].plot(count, count, "--", color=INK, lw=1.0, label="linear")
@@ -296,7 +300,7 @@ def _histogram(panel: Axes, values: Array, label: str, title: str) -> None:
 
 FIGURES: Mapping[str, tuple[Draw, tuple[str, ...]]] = {
     "photon-transfer": (transfer_figure, ("mean",)),
-    "response": (response_figure, ("deviation",)),
+    "response": (response_figure, ("deviation", "pair_closure")),
     "dark": (dark_figure, ("offset",)),
     "flat": (flat_figure, ("relative",)),
     "geometry": (geometry_figure, ("corner_px",)),

@@ -277,7 +277,7 @@ def bright(light: Array) -> NDArray[np.bool_]:
         return np.asarray(light > 0.2 * np.nanpercentile(light, 99.5))
 
 
-def _median(values: Array) -> float | None:
+def _median(values: NDArray[np.floating[Any]]) -> float | None:
     return _finite(np.nanmedian(values)) if np.isfinite(values).any() else None
 
 

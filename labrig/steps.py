@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,7 @@ from labrig.models.setup import Setup, StripesConfig
 from labrig.rectify import Pictures
 
 Array = NDArray[np.float64]
+Picture = NDArray[np.floating[Any]]
 
 EXCESS_CHI2 = 4.0  # residuals twice the noise
 POOR_FIT = 0.1  # rms of the residual of Eq. 10 over rms of the picture
@@ -211,7 +213,7 @@ def attenuate(separated: Separated, pictures: Pictures, setup: Setup, config: An
         notes = (*notes, _too_coarse(period, across, pictures.unit))
 
     def profile(
-        picture: Array, variance: Array, detected: NDArray[np.bool_] | None = None
+        picture: Picture, variance: Picture, detected: NDArray[np.bool_] | None = None
     ) -> DepthProfile:
         return depth_profile(
             picture, variance, pictures.pixel, beam, margin_mm=margin, detected=detected

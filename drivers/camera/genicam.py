@@ -76,15 +76,19 @@ class GenicamCamera:
 
     @property
     def identity(self) -> dict[str, str]:
-        """``model``, ``serial`` and ``firmware``."""
-        if self._camera is None:
-            return {"model": "", "serial": self._settings.device, "firmware": ""}
-        camera, found = self._camera, {"model": "", "serial": "", "firmware": ""}
-        with self._explained("read the identity of"):
-            found["model"] = f"{camera.get_vendor_name()} {camera.get_model_name()}"
-            found["serial"] = camera.get_device_serial_number() or ""
-        with suppress(DriverError), self._explained("read the firmware of"):
-            found["firmware"] = camera.get_string("DeviceVersion") or ""
+        """``model``, ``serial`` and ``firmware``; empty where the camera does not say."""
+        found = {"model": "", "serial": self._settings.device, "firmware": ""}
+        camera = self._camera
+        if camera is None:
+            return found
+        told = {
+            "model": lambda: f"{camera.get_vendor_name()} {camera.get_model_name()}",
+            "serial": camera.get_device_serial_number,
+            "firmware": lambda: camera.get_string("DeviceVersion"),
+        }
+        for name, ask in told.items():
+            with suppress(SettingRefusedError), self._explained(f"read the {name} of"):
+                found[name] = ask() or found[name]
         return found
 
     def open(self) -> CameraCapabilities:

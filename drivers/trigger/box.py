@@ -261,7 +261,7 @@ class BoxTrigger:
         return f"the trigger gave no pulse: {known.get(reason, reason)}"
 
     def _read(self, command: str) -> list[str]:
-        """Ask what changes nothing, once more if no answer came: the end of a wait may lose one."""
+        """Ask what changes nothing, once more if no whole answer came: a wire may damage one."""
         try:
             return self._ask(command, patience_s=0.5 * REPLY_S)
         except DeadlineError:

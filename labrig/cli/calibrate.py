@@ -56,7 +56,7 @@ app.command()(latency)
 for _kind, _what in {
     "dark": "Find offset, dark current and hot pixels from dark frames.",
     "photon-transfer": "Find gain, noise and linearity from pairs of flat and dark frames.",
-    "response": "Check linearity from an exposure ramp, or fit an 8-bit camera's response.",
+    "response": "Check linearity, or fit an 8-bit camera's response, of a ramp or of inverses.",
     "projector": "Find map, contrast, gamma and leak of the projector.",
 }.items():
     app.command(name=_kind)(_of_session(_kind, _what))

@@ -25,8 +25,10 @@ def doctor(
     """Say what is present, missing or misconfigured, and the command that mends it."""
     if fix_udev:
         say(f"{udev.INSTALLED} would hold:\n\n{udev.rules()}")
-        typer.confirm("Install these rules?", abort=True)
-        udev.install()
+        if typer.confirm("Install these rules?"):
+            udev.install()
+        else:
+            say("Nothing was installed.")
         return
     found = examine(out, None if rig is None else labrig.load_rig(rig))
     if as_json:

@@ -1,12 +1,13 @@
 """Every driver as a case: how it is made, driven to its limits and unplugged.
 
 Simulated and emulated devices pass the same tests, in real time. The V4L2 camera joins them inside
-the virtual machine of ``make hardware-vm``, the USB trigger is held to the same rules in
-tests/hardware/under_umockdev.
+the virtual machine of ``make hardware-vm``, the USB3 camera and the USB trigger in the processes
+that tests/hardware/test_under_umockdev.py starts.
 """
 
 from __future__ import annotations
 
+import gc
 import os
 import subprocess
 from collections.abc import Callable
@@ -31,6 +32,7 @@ from drivers.simulation.world import World
 from drivers.transport.x_display import lift_curtain
 from drivers.trigger.serial import SerialTrigger
 from drivers.trigger.simulated import SimulatedTrigger
+from drivers.trigger.usb import UsbTrigger
 from drivers.waiting import MonotonicClock
 
 ROWS, COLS = 48, 64
@@ -45,6 +47,12 @@ SENSOR = Sensor(
     readout_s=0.01,
 )
 IN_VM = "LABRIG_VM_KERNEL" in os.environ
+IN_UMOCKDEV = "umockdev" in os.environ.get("LD_PRELOAD", "")
+if IN_UMOCKDEV:
+    CAMERAS, TRIGGERS = ("usb3",), ("usb",)
+else:
+    CAMERAS = ("v4l2",) if IN_VM else ("simulated", "genicam")
+    TRIGGERS = ("simulated", "serial")
 
 
 @dataclass(frozen=True)
@@ -85,6 +93,24 @@ def _gige(request: pytest.FixtureRequest) -> Case:
     return Case(GenicamCamera(settings), camera.unplug)
 
 
+def _usb3(request: pytest.FixtureRequest) -> Case:
+    from emulated.u3v_camera import U3vCamera  # noqa: PLC0415 - only where umockdev is preloaded
+
+    bus = request.getfixturevalue("_usb_bus")
+    port = bus.plug(U3vCamera(lambda rows, cols: np.full((rows, cols), 10.0)))
+    request.addfinalizer(lambda: bus.forget(port))
+    return Case(GenicamCamera(GenicamSettings(device="U3V0001")), port.unplug)
+
+
+@pytest.fixture(scope="session")
+def _usb_bus() -> Any:
+    from emulated.usb_umockdev import UsbBus  # noqa: PLC0415
+
+    bus = UsbBus()
+    yield bus
+    bus.close()
+
+
 def _vivid(request: pytest.FixtureRequest) -> Case:
     # loaded as tests/hardware/vm/guest/test_vivid.py wants it, if it did not do so before
     words = ["vivid", "n_devs=2", "num_inputs=1,1", "input_types=0x0,0x3", "node_types=0x1,0x1"]
@@ -107,7 +133,7 @@ def _vivid(request: pytest.FixtureRequest) -> Case:
     )
 
 
-@pytest.fixture(params=["v4l2"] if IN_VM else ["simulated", "genicam"])
+@pytest.fixture(params=CAMERAS)
 def camera(request: pytest.FixtureRequest) -> Any:
     """Each camera, closed."""
     if request.param == "simulated":
@@ -115,9 +141,10 @@ def camera(request: pytest.FixtureRequest) -> Any:
         device = SimulatedCamera(SENSOR, world, seed=1)
         case = Case(device, lambda: world.faults.notice("unplug", ""))
     else:
-        case = _gige(request) if request.param == "genicam" else _vivid(request)
+        case = {"genicam": _gige, "usb3": _usb3, "v4l2": _vivid}[request.param](request)
     yield case
     case.device.close()
+    gc.collect()  # a camera of Aravis that outlives the process takes it down with it
 
 
 @pytest.fixture(scope="session")
@@ -161,16 +188,27 @@ def _firmware(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return compile_firmware(tmp_path_factory.mktemp("firmware"))
 
 
-@pytest.fixture(params=["simulated", "serial"])
+@pytest.fixture(params=TRIGGERS)
 def trigger(request: pytest.FixtureRequest) -> Any:
     """Each trigger, closed."""
-    box = None
     if request.param == "simulated":
         case = Case(SimulatedTrigger(world_with()), lambda: None)
+    elif request.param == "usb":
+        case = _usb_trigger(request)
     else:
         box = Box(request.getfixturevalue("_firmware"))
+        request.addfinalizer(box.unplug)  # noqa: PT021 - only where there is one
         case = Case(SerialTrigger(box.port, boot_s=0.3), box.unplug)
     yield case
     case.device.close()
-    if box is not None:
-        box.unplug()
+
+
+def _usb_trigger(request: pytest.FixtureRequest) -> Case:
+    from emulated.usb_trigger import UsbTriggerDevice  # noqa: PLC0415
+
+    bus = request.getfixturevalue("_usb_bus")
+    emulated = UsbTriggerDevice(request.getfixturevalue("_firmware"))
+    request.addfinalizer(emulated.stop)
+    port = bus.plug(emulated)
+    request.addfinalizer(lambda: bus.forget(port))
+    return Case(UsbTrigger(), port.unplug)

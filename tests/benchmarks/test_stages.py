@@ -67,7 +67,7 @@ def test_merge_of_four_exposures(benchmark, shape):
             f"\nmerge of 4 exposures: {1e3 * ours:.0f} ms/MP CPU (limit 100); MergeDebevec, "
             f"without variance, {1e3 * theirs:.0f}; copy {1e3 * copied:.1f}"
         )
-        assert ours < 0.3  # a wide gate; the limit is printed
+        assert ours < 0.2  # twice the limit, which is printed: others share the machine
 
 
 def two_threads_s(call, n=7) -> float:
@@ -117,7 +117,7 @@ def test_separation_of_six_shifts(benchmark, shape, method):
             f"({1e3 * copied:.1f}); OpenCV's MergeDebevec of 6 frames {1e3 * theirs:.0f}; wall of "
             f"two pictures on two threads {1e3 * two_threads_s(call):.0f} ms"
         )
-        assert ours < 0.2  # a wide gate; the limit is printed
+        assert ours < 0.04  # twice the limit, which is printed: others share the machine
 
 
 def test_canonical_tank_by_ordinates(benchmark):

@@ -140,8 +140,8 @@ def test_every_period_of_real_paper_closes_with_a_response_from_the_other_half(s
     coarse = [first for first in range(2, 38, 2) if first != 18]  # periods of 8 px and more
     here, there = bright & half, bright & ~half
     pairs = [(pictures[first][here], pictures[first + 1][here]) for first in coarse]
-    response = power_of_pairs(pairs, white[here], black[here], bits=8)
-    linear = [response.table[p[there].astype(int)] for p in pictures]
+    table = power_of_pairs(pairs, white[here], black[here], bits=8).response(8, 0.0).table
+    linear = [table[p[there].astype(int)] for p in pictures]
     whole = linear[40] + linear[41]
     means = [np.mean((linear[n] + linear[n + 1]) / whole - 1.0) for n in coarse]
     # counts = light^1.06; measured worst 0.62 % (the coarsest), without it -1.7 % (8 px)

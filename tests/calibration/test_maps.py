@@ -1,5 +1,7 @@
 """Dark maps, flat fields, and brackets merged with them."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from calibration.errors import CalibrationError
 from calibration.flat import fit_flat
 from calibration.hdr import merge
 from calibration.model import CameraModel
+from calibration.photon_transfer import measure_level
 
 CAMERA = CameraModel(
     bits=12, black_level_dn=0.0, white_level_dn=4095.0, gain_dn_per_e=0.28, read_noise_e=10.9
@@ -109,6 +112,28 @@ def test_repeats_are_streamed_and_count_like_one_long_list():
         estimate = above / sum(w * t for w, t in zip(weights, exposures, strict=True))
     # measured worst 3e-7, the precision of float32
     np.testing.assert_allclose(found.value, estimate, rtol=1e-5)
+
+
+def test_memory_does_not_grow_with_the_stack():
+    def taken(n, brightest):
+        rng = np.random.default_rng(1)
+        return (rng.integers(20, brightest, (300, 400), dtype=np.uint16) for _ in range(n))
+
+    def peak(n):
+        times, camera = (0.1, 0.4) * (n // 2), {"bits": 12, "white_level_dn": 4095.0}
+        tracemalloc.start()
+        merge(taken(n, 3000), times, (20.0,) * n, CAMERA)
+        measure_level(taken(n, 3000), 0.1, **camera)
+        fit_dark(zip(times, taken(n, 60), strict=True), **camera)
+        found = tracemalloc.get_traced_memory()[1] / (2 * 300 * 400)
+        tracemalloc.stop()
+        return found
+
+    peak(4)  # compiles
+    few, many = peak(4), peak(60)
+    # in frames of 16 bits; measured 42.5 both, most of them sums in double precision
+    assert many < few + 1.0
+    assert few < 60.0
 
 
 def test_bad_darks_and_flats_are_refused_in_one_line(dark):

@@ -140,8 +140,16 @@ def test_a_pattern_and_its_inverse_tell_the_power_of_a_camera():
         lit = black + share * (white - black)
         pairs.append((255.0 * lit**1.1, 255.0 * (white + black - lit) ** 1.1))
     found = power_of_pairs(pairs, 255.0 * white**1.1, 255.0 * black**1.1, bits=8)
-    # measured 1.100
-    assert found.name == "power 1.100"
+    # measured 1.1000000
+    assert found.power == pytest.approx(1.1, abs=1e-5)
+    # measured 9e-8; half the light gives 6.7 % fewer counts than half
+    assert np.abs(found.closures(pairs, 255.0 * white**1.1, 255.0 * black**1.1)).max() < 1e-6
+    assert found.at_half == pytest.approx(0.5**1.1 / 0.5 - 1.0, abs=1e-6)
+    with_black = found.response(8, black_level_dn=16.0)
+    assert with_black.name == "power 1.100"
+    # the table keeps white and black, and noise below black stays below it
+    np.testing.assert_allclose(with_black.table[[16, 255]], [16.0, 255.0], atol=1e-9)
+    assert with_black.table[8] < 16.0
     with pytest.raises(CalibrationError, match="8 bits or fewer"):
         power_of_pairs(pairs, white, black, bits=12)
     with pytest.raises(CalibrationError, match="under no power"):

@@ -55,7 +55,7 @@ medium: {sigma_t_per_mm: 0.3, sigma_s_per_mm: 0.15, g: 0.3}
 tank: {depth_mm: 30, width_mm: 24}
 beam: {from_mm: 7.2, to_mm: 16.8}
 light: {peak_e_per_s: 2.0e5, ambient_e_per_s: 0}
-transport: {method: montecarlo, n_paths: 60000, cell_mm: 0.5, seed: 1}
+transport: {method: montecarlo, n_paths: 240000, cell_mm: 0.5, seed: 1}
 """
 PLAN = """\
 schema: labrig-plan/1
@@ -114,9 +114,11 @@ def test_a_session_captured_in_closed_loop_is_analysed_to_the_true_parameters(be
     assert labrig.verify(session) == []
     result = labrig.analyse(session)
     found = {name: result.run[name]["value"] for name in ("sigma_t_per_mm", "sigma_s_per_mm", "g")}
-    assert found["sigma_t_per_mm"] == pytest.approx(0.3, rel=0.02)
-    assert found["sigma_s_per_mm"] == pytest.approx(0.15, rel=0.2)
-    assert found["g"] == pytest.approx(0.3, abs=0.15)
+    # measured -0.18 %, +0.02 % and -0.006 (std 0.03 %, 0.06 % and 0.0013): the light's own Monte
+    # Carlo, with 60 000 paths -0.28 %, +0.06 % and -0.007
+    assert found["sigma_t_per_mm"] == pytest.approx(0.3, rel=0.004)
+    assert found["sigma_s_per_mm"] == pytest.approx(0.15, rel=0.005)
+    assert found["g"] == pytest.approx(0.3, abs=0.012)
     assert not result.run.get("truth")
     assert server.await_black(within_s=1.0)
 

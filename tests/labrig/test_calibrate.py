@@ -17,11 +17,13 @@ from PIL import Image
 import labrig
 from calibration.errors import CalibrationError
 from calibration.geometry import Board
+from labrig.calibration_store import read_record
 from labrig.cli import run
 from labrig.errors import AnalysisRefusedError, ConfigError
 
 SHAPE = (60, 80)
 CAMERA = {"bits": 12, "black_level_dn": 16, "white_level_dn": 4095}
+PAPER_CAMERA = {"bits": 8, "black_level_dn": 0, "white_level_dn": 255}
 RAMP = (0.001, 0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.6)
 CONDITIONS = {"camera": "Test 1", "gain": "0 dB", "lens": "16 mm"}
 
@@ -251,49 +253,131 @@ def test_board_is_drawn_in_true_size_and_found_again(command: Command, tmp_path:
     assert len(ids) == 48
 
 
-def test_grey_code_of_real_paper_makes_a_map_that_separates_its_finest_stripes(
-    real_data: Path, tmp_path: Path, write_manifest: ManifestWriter
-) -> None:
-    taken = real_data / "procam_stripes" / "capture_0"
-
-    cut = tmp_path / "cut"
-    cut.mkdir()
+@pytest.fixture(scope="module")
+def paper(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Part of the pictures of a Grey code on paper: codes along x with inverses, white, black."""
+    cut = tmp_path_factory.mktemp("paper")
     for number in (*range(20), 40, 41):
-        with Image.open(taken / f"graycode_{number:02d}.png") as picture:
+        taken = real_data / "procam_stripes" / "capture_0" / f"graycode_{number:02d}.png"
+        with Image.open(taken) as picture:
             picture.crop((0, 100, 1280, 400)).save(cut / f"{number}.png")
+    return cut
 
-    def shot(number: int, role: str, **more: Any) -> dict[str, Any]:
-        return {"file": str(cut / f"{number}.png"), "role": role, "exposure_s": 1.0, **more}
 
-    camera = {"bits": 8, "black_level_dn": 0, "white_level_dn": 255}
-    ends = [shot(40, "white"), shot(41, "black")]
+@pytest.fixture(scope="module")
+def coded(paper: Path, write_manifest: ManifestWriter) -> Path:
+    """The session of the whole code."""
     code = [
-        shot(2 * (9 - bit) + k, "grey-code", axis="x", bit=bit, polarity=polarity)
+        paper_shot(paper, 2 * (9 - bit) + k, "grey-code", axis="x", bit=bit, polarity=polarity)
         for bit in range(10)
         for k, polarity in enumerate(("plain", "inverse"))
     ]
+    frames = [*code, paper_shot(paper, 40, "white"), paper_shot(paper, 41, "black")]
     size = {"rows": 768, "cols": 1024}
-    grey = write_manifest(tmp_path / "grey", [*code, *ends], camera=camera, projector=size)
-    record = labrig.calibrate("projector", labrig.import_session(grey, tmp_path / "s"))
+    manifest = write_manifest(paper / "code", frames, camera=PAPER_CAMERA, projector=size)
+    return labrig.import_session(manifest, paper / "sessions")
+
+
+def paper_shot(paper: Path, number: int, role: str, **more: Any) -> dict[str, Any]:
+    return {"file": str(paper / f"{number}.png"), "role": role, "exposure_s": 1.0, **more}
+
+
+def paper_stripes(paper: Path, out: Path, bit: int, write: ManifestWriter, **keys: Any) -> Any:
+    """Separate a bit of the code and its inverse; return run.json."""
+    first = 2 * (9 - bit)
+    frames = [
+        *(paper_shot(paper, first + k, "stripes", shift=k, shifts=2) for k in (0, 1)),
+        paper_shot(paper, 40, "white"),
+        paper_shot(paper, 41, "black"),
+    ]
+    stripes = {"period_px": 4 * 2**bit, "offset_px": 2**bit}
+    manifest = write(out / f"{bit}", frames, camera=PAPER_CAMERA, stripes=stripes, **keys)
+    return labrig.analyse(labrig.import_session(manifest, out / "s"), until="separation").run
+
+
+def test_grey_code_of_real_paper_makes_a_map_that_separates_its_finest_stripes(
+    paper: Path, coded: Path, tmp_path: Path, write_manifest: ManifestWriter
+) -> None:
+    record = labrig.calibrate("projector", coded, out=tmp_path)
     found = labrig.read_calibration(record)
     # measured 5.6 % and 0.315 px
     assert found.quantities["leak_median"].value == pytest.approx(0.055, abs=0.005)
     assert found.quantities["map_x_residual_px"].value < 0.35
-    pair = [shot(18, "stripes", shift=0, shifts=2), shot(19, "stripes", shift=1, shifts=2)]
-    manifest = write_manifest(
-        tmp_path / "pair",
-        [*pair, *ends],
-        camera=camera,
-        stripes={"period_px": 4, "offset_px": 1},
-        calibration={"projector": str(record)},
-    )
-    result = labrig.analyse(labrig.import_session(manifest, tmp_path / "s"), until="separation")
-    assert result.run["method"]["separation"] == "known-pattern"
-    quality = result.run["quality"]
+    run = paper_stripes(paper, tmp_path, 0, write_manifest, calibration={"projector": str(record)})
+    assert run["method"]["separation"] == "known-pattern"
+    quality = run["quality"]
     # one shift is the other's inverse; measured -1.709 and -1.714 %, for stripe edges are masked
     assert quality["closure"]["mean"] == pytest.approx(quality["additivity"], abs=1e-3)
     # by extremes 0.42; measured 1.12
     assert quality["direct_share_median"] >= 0.9
+
+
+def test_every_period_of_real_paper_closes_with_the_response_of_its_inverses(
+    paper: Path, coded: Path, tmp_path: Path, write_manifest: ManifestWriter, command: Command
+) -> None:
+    said = command("calibrate", "response", coded, "--out", tmp_path, "--json")
+    assert said.code == 0, said.err
+    record = json.loads(said.out)
+    assert record["settings"]["response"] == "fitted"
+    assert record["quantities"]["power"]["value"] == pytest.approx(1.05, abs=0.02)  # measured 1.046
+    arrays = read_record(Path(record["path"]))[1].arrays
+    # one edge, of "period" 2048 on 1024 px, is no stripe
+    stripes = arrays["pair_period"].values <= 1024.0
+    worst = {
+        name: np.abs(arrays[name].values[stripes]).max()
+        for name in ("pair_closure", "pair_closure_fitted")
+    }
+    # each half of the picture with the response of the other; measured 0.51 % (0.24 % up to 512
+    # px), without it 1.72 %
+    assert worst["pair_closure_fitted"] <= 0.01
+    assert worst["pair_closure"] > 0.015
+    closures = [
+        paper_stripes(paper, tmp_path / name, 1, write_manifest, **known)["quality"]["closure"]
+        for name, known in (
+            ("plain", {}),
+            ("known", {"calibration": {"response": record["path"]}}),
+        )
+    ]
+    # stripes of 8 px; measured -1.70 % and -0.23 %
+    assert closures[0]["mean"] < -0.015
+    assert abs(closures[1]["mean"]) <= 0.01
+
+
+def inverses(folder: Path, write: ManifestWriter, *, power: float, lost: float) -> Path:
+    """A session of six shifts on paper by an 8-bit camera; ``lost`` of their light goes astray."""
+    rng = np.random.default_rng(5)
+    x, white = np.arange(SHAPE[1]), np.linspace(0.4, 0.9, SHAPE[0])[:, None]
+    lights = [
+        0.5 * (1 - lost) * (1 + np.cos(2 * np.pi * (x / 12.0 - k / 6.0))) * white for k in range(6)
+    ]
+    frames = []
+    for k, light in enumerate([*lights, white * np.ones(SHAPE), 0.02 * np.ones(SHAPE)]):
+        more = {"shift": k, "shifts": 6} if k < 6 else {}
+        role = "stripes" if k < 6 else ("white", "black")[k - 6]
+        counts = 255.0 * (light + 0.02 * (k < 7)) ** power + rng.normal(0.0, 0.5, SHAPE)
+        frames.append(frame(folder, f"{k}.tif", np.clip(counts, 0, 255), role, 0.1, **more))
+    manifest = write(folder, frames, camera=PAPER_CAMERA, stripes={"period_px": 12})
+    return labrig.import_session(manifest, folder / "s")
+
+
+def test_shifts_half_a_period_apart_tell_a_linear_camera_from_a_bent_one(
+    tmp_path: Path, write_manifest: ManifestWriter
+) -> None:
+    for power, response in ((1.0, "linear"), (1.2, "fitted")):
+        session = inverses(tmp_path / response, write_manifest, power=power, lost=0.0)
+        found = labrig.read_calibration(labrig.calibrate("response", session))
+        # measured 1.0000 and 1.1994
+        assert found.quantities["power"].value == pytest.approx(power, abs=0.01)
+        assert found.settings["response"] == response
+
+
+def test_light_lost_in_stripes_of_a_linear_camera_is_no_response(
+    tmp_path: Path, write_manifest: ManifestWriter
+) -> None:
+    session = inverses(tmp_path, write_manifest, power=1.0, lost=0.1)
+    with pytest.raises(CalibrationError, match="not the camera's response") as caught:
+        labrig.calibrate("response", session)
+    assert "\n" not in str(caught.value)
 
 
 def test_help_names_every_kind(command: Command) -> None:

@@ -26,7 +26,8 @@ class UsbTriggerDevice(UsbDevice):
         self.box = Box(program)
         self._port = os.open(self.box.port, os.O_RDWR | os.O_NOCTTY)
         self._answers = bytearray()
-        threading.Thread(target=self._listen, daemon=True).start()
+        self._listener = threading.Thread(target=self._listen, daemon=True)
+        self._listener.start()
 
     def control(self, setup: Setup, sent: bytes) -> bytes | None:
         """Obey the one vendor request."""
@@ -58,6 +59,10 @@ class UsbTriggerDevice(UsbDevice):
     def stop(self) -> None:
         """End the firmware."""
         self.box.unplug()
+        # Closed while it is listened to, its number would go to the next box, whose answers this
+        # listener would then take.
+        self._listener.join(timeout=5.0)
+        assert not self._listener.is_alive()
         os.close(self._port)
 
     def _listen(self) -> None:

@@ -9,6 +9,7 @@ from emulated.uvc_camera import UvcCamera
 from emulated.x_server import FrameBuffer, XServer
 
 import labrig
+import labrig.api  # at once: a minute for the emulated processor, and more while a camera streams
 from drivers.transport.v4l2_device import video_devices
 from labrig.session import Session
 
@@ -63,8 +64,11 @@ sets:
 
 
 @pytest.fixture
-def bench(load, tmp_path):
+def bench(load, tmp_path, monkeypatch):
     """A second screen, a camera that looks at it, and the files that describe both."""
+    # a window needs more than its 15 s where the processor is emulated and emulates a camera too
+    monkeypatch.setattr("drivers.projector.window_process.START_S", 90.0)
+    monkeypatch.setattr("drivers.projector.second_screen.LOAD_S", 30.0)
     load("vhci-hcd")
     load("uvcvideo")
     server = XServer(tmp_path, right=(COLS, ROWS))
@@ -87,6 +91,7 @@ def bench(load, tmp_path):
     paths["plan"].write_text(PLAN)
     yield paths, server
     port.unplug()
+    screen.close()
     server.stop()
 
 
