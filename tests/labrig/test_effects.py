@@ -16,6 +16,7 @@ from labrig.models import effects as models
 from labrig.scene.effects.face import Fresnel
 from labrig.scene.effects.lens import falling
 from labrig.scene.effects.projector import lost_by
+from labrig.scene.effects.sensor import SRGB_AT_BLACK
 from labrig.scene.effects.view import seen_from, undistorted
 from labrig.scene.fresnel import internal_reflectance, reflectances
 from labrig.scene.parts import Parts
@@ -383,11 +384,11 @@ def sensor_of(**changes) -> Sensor:
         rows=200,
         cols=200,
         bits=12,
-        black_level_dn=16,
         white_level_dn=4095,
         gain_dn_per_e=0.28,
         readout_s=0.0,
         **{
+            "black_level_dn": 16,
             "read_noise_e": 0.0,
             "shot_noise": False,
             "quantised": False,
@@ -411,6 +412,22 @@ def test_the_variance_of_shot_noise_is_its_mean():
     assert electrons.var() == pytest.approx(900.0, rel=0.03)
     assert electrons.mean() == pytest.approx(900.0, rel=1e-3)
     np.testing.assert_allclose(electrons, np.rint(electrons), atol=1e-9)
+
+
+def test_srgb_counts_lift_noise_by_no_more_than_their_bound_says():
+    """A dark picture with a bright spot: noise of the dark pixels against the light of all."""
+    light = np.full((200, 200), 4.0)
+    light[:20, :20] = 8000.0
+
+    def off(response: str) -> float:
+        noisy, exact = (
+            read(sensor_of(shot_noise=noise, response=response, black_level_dn=0), light)
+            for noise in (True, False)
+        )
+        return float(np.linalg.norm(noisy - exact) / np.linalg.norm(exact))
+
+    # measured 0.012 and 0.024
+    assert 1.5 * off("linear") < off("srgb") < SRGB_AT_BLACK * off("linear")
 
 
 def test_read_noise_is_normal_with_its_deviation():

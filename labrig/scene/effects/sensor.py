@@ -17,6 +17,8 @@ from labrig.models.rig import SimulatedCameraConfig
 from labrig.scene.effects.base import Bound, Effect, Situation
 from labrig.scene.parts import Parts
 
+SRGB_AT_BLACK = 12.92  # its slope there (IEC 61966-2-1)
+
 
 def camera_of(about: Situation | Parts) -> SimulatedCameraConfig:
     """Return the simulated camera; a real one brings its own effects."""
@@ -37,6 +39,21 @@ def brightest_e(about: Situation) -> float:
     return (most + light.ambient_e_per_s) * about.exposures_s[-1]
 
 
+def lift(about: Situation) -> float:
+    """Return how much larger noise stands in the counts, at most, than in the electrons.
+
+    sRGB's slope at black; a picture's rms in its counts is not below that of its light.
+    """
+    effects = about.scene.effects
+    asked = "auto" if effects is None else effects.response
+    if asked is None or asked == "never":
+        return 1.0
+    curve = (
+        asked.curve if isinstance(asked, ResponseConfig) else None
+    ) or about.rig.camera.response
+    return 1.0 if curve == "linear" else SRGB_AT_BLACK
+
+
 def _with(parts: Parts, **changes: object) -> Parts:
     sensor = parts.sensor
     return parts if sensor is None else replace(parts, sensor=replace(sensor, **changes))  # type: ignore[arg-type]
@@ -51,7 +68,8 @@ class ShotNoise(Effect[Word]):
         """Return sqrt(mean) over rms of the dimmest picture; the mean is below the rms."""
         electrons = about.dimmest_e_per_s * about.exposures_s[0]
         size = 1.0 / math.sqrt(electrons) if electrons > 0.0 else math.inf
-        return Bound(size, f"{electrons:.3g} electrons (rms) in the shortest exposure")
+        why = f"{electrons:.3g} electrons (rms) in the shortest exposure"
+        return Bound(lift(about) * size, why)
 
     def onto(self, parts: Parts) -> Parts:
         """Draw the electrons."""
@@ -66,7 +84,8 @@ class ReadNoise(Effect[Word]):
     def bound(self, about: Situation) -> Bound:
         """Return it over the rms of the dimmest picture."""
         noise = camera_of(about).read_noise_e
-        return Bound(about.of_rms(noise / about.exposures_s[0]), f"{noise:g} electrons")
+        size = about.of_rms(noise / about.exposures_s[0])
+        return Bound(lift(about) * size, f"{noise:g} electrons")
 
     def onto(self, parts: Parts) -> Parts:
         """Add it."""
