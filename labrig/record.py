@@ -249,6 +249,8 @@ def _fit_quality(fit: Attenuation) -> dict[str, Any]:
         "chi2_per_dof": fit.chi2_per_dof,
         "rms_relative": fit.rms_relative,
         "depth_range": list(fit.depth_range_mm),
+        "ended_by": fit.ended_by,
+        "sigma_t_std_by_rows": _finite(fit.row_std[1]),
     }
 
 

@@ -43,6 +43,7 @@ Array = NDArray[np.float64]
 Picture = NDArray[np.floating[Any]]
 
 EXCESS_CHI2 = 4.0  # residuals twice the noise
+ROWS_DISAGREE = 2.0  # ratio of two standard deviations of one thing
 POOR_FIT = 0.1  # rms of the residual of Eq. 10 over rms of the picture
 MARGIN, WIDEST_MARGIN = 0.05, 0.35  # of the beam's width, left out at each of its edges
 UNRESOLVED_PX = 3.0  # a mean free path below it is not resolved
@@ -372,14 +373,21 @@ def _too_coarse(period: float, across: float, unit: str) -> str:
 
 
 def _doubts(fit: Attenuation) -> tuple[str, ...]:
-    """Return what makes the stated deviations of Eq. 9 too small."""
-    if fit.chi2_per_dof <= EXCESS_CHI2:
-        return ()
-    times = math.sqrt(fit.chi2_per_dof)
-    return (
-        f"The residuals of Eq. 9 are {times:.1f} times the noise: something else than camera noise "
-        "bends the decay, and the std of sigma_t and c is too small.",
-    )
+    """Return what makes the stated deviations of Eq. 9 wrong."""
+    notes = []
+    if fit.chi2_per_dof > EXCESS_CHI2:
+        times = math.sqrt(fit.chi2_per_dof)
+        notes.append(
+            f"The residuals of Eq. 9 are {times:.1f} times the noise: something else than camera "
+            "noise bends the decay, and the std of sigma_t and c is too small."
+        )
+    by_rows, stated = fit.row_std[1], math.sqrt(fit.covariance[1, 1])
+    if by_rows > ROWS_DISAGREE * stated or stated > ROWS_DISAGREE * by_rows:
+        notes.append(
+            f"The std of Eq. 9's sigma_t is {stated:.2g} by the camera's noise and {by_rows:.2g} by "
+            "the scatter of the rows: they do not agree, rows differ by more or less than noise."
+        )
+    return tuple(notes)
 
 
 def _pattern(setup: Setup, pictures: Pictures) -> Array:
