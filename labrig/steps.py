@@ -384,8 +384,8 @@ def _doubts(fit: Attenuation) -> tuple[str, ...]:
     by_rows, stated = fit.row_std[1], math.sqrt(fit.covariance[1, 1])
     if by_rows > ROWS_DISAGREE * stated or stated > ROWS_DISAGREE * by_rows:
         notes.append(
-            f"The std of Eq. 9's sigma_t is {stated:.2g} by the camera's noise and {by_rows:.2g} by "
-            "the scatter of the rows: they do not agree, rows differ by more or less than noise."
+            f"The std of Eq. 9's sigma_t is {stated:.2g} by the camera's noise and {by_rows:.2g} "
+            "by the scatter of the rows: rows differ by more, or by less, than by noise."
         )
     return tuple(notes)
 
