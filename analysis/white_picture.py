@@ -19,7 +19,7 @@ from analysis.transport.eigenmodes import plane_light
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-N_WAVES = 64  # of the light that was scattered: the shortest is a 64th of twice the tank's width
+N_WAVES = 48  # of the light that was scattered: the shortest is a 48th of twice the tank's width
 FINE = 4000  # points across the beam
 
 

@@ -17,7 +17,7 @@ from labrig.record import Outcome, run_of
 from labrig.record_fields import fields_of
 from labrig.rectify import rectify
 from labrig.remainder import remainder
-from labrig.results import Result, read_results, results_of, write_results
+from labrig.results import Result, results_of, write_results, written
 from labrig.session import Session
 from labrig.steps import attenuate, explain, render_bounces, separate
 
@@ -102,4 +102,5 @@ def analyse(
         remainder=left,
         seconds=watch.seconds,
     )
-    return read_results(write_results(parent, run_of(outcome), *fields_of(outcome)))
+    fields, attributes = fields_of(outcome)
+    return written(write_results(parent, run_of(outcome), fields, attributes), fields, attributes)

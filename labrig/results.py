@@ -117,6 +117,12 @@ def write_fields(path: Path, fields: Mapping[str, Field], attributes: Mapping[st
             file.attrs[name] = value
 
 
+def written(folder: Path, fields: Mapping[str, Field], attributes: Mapping[str, Any]) -> Result:
+    """Return what was just written, without reading the arrays again."""
+    run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    return Result(path=folder, run=run, fields=dict(fields), attributes=dict(attributes))
+
+
 def read_results(path: Path) -> Result:
     """Read a results folder, or the newest one of a session folder.
 

@@ -29,7 +29,7 @@ MAX_BOUNCES = 200
 SPREADS = 3.0  # lengths over which diffuse light fades
 MOST_BESIDE = 3  # tanks to each side
 RESOLVED = 9e-3  # of g^(n/2), n directions
-PEAKED = 0.8  # a larger asymmetry is exchanged for this one
+PEAKED = 0.7  # a larger asymmetry is exchanged for this one
 
 
 def side_wall_loss(
@@ -108,7 +108,7 @@ def _waves(
 
 
 def _similar(medium: Medium) -> Medium:
-    """Return the medium of asymmetry 0.8 in which diffuse light spreads alike."""
+    """Return the medium of asymmetry 0.7 in which diffuse light spreads alike."""
     if medium.g <= PEAKED or medium.phase != "hg-plane":
         return medium
     sigma_s = medium.sigma_s_per_mm * (1.0 - medium.g) / (1.0 - PEAKED)
