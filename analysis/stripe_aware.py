@@ -30,7 +30,7 @@ ComplexArray = NDArray[np.complex128]
 
 ALBEDOS, ASYMMETRIES = (0.4, 0.85), (0.0, 0.5, 0.85)  # where a fit may start
 AT_LIMIT = 1e-4
-WALL_ERROR = 0.05  # of what the side walls take away: how well that is known
+WALL_ERROR = 0.06  # of what the side walls take away: how well that is known
 ROUNDS = 8
 ROUGH, FINE = 1e-3, 1e-5  # change of a fit's residual, or of its parameters, that ends it
 FAR = (2e-3, 2e-3, 2e-3)  # change from which on derivatives are taken anew
@@ -98,7 +98,7 @@ def fit_stripe_aware(
     """Fit (sigma_t, sigma_s, g) to the stripes of every period and to the white light.
 
     What depends weakly on the medium (side walls, contrast) is found anew for each medium found,
-    until it settles; the last of these rounds keep the derivatives of the one before.
+    until it settles; each round looks ahead by those before it.
 
     Parameters
     ----------

@@ -75,7 +75,7 @@ def run_of(outcome: Outcome) -> dict[str, Any]:
         **parameters,
         **_truth(header),
         "uncertainty": "std is statistical: camera noise carried through the fits. model_std is "
-        "what an error of 0.1 percent of the model at every depth, and of 5 percent of the "
+        "what an error of 0.1 percent of the model at every depth, and of 6 percent of the "
         "side walls' losses, would add. Neither holds the "
         "bias of Eqs. 9 and 10 (alternatives), whose single scattering still holds low orders.",
         "length_unit": outcome.pictures.unit,

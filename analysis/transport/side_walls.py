@@ -46,8 +46,8 @@ def side_wall_loss(
     phi is the fluence of all bounces from the second on, of a beam of irradiance one (or its
     profile); the integral runs over the tank's width with walls, over everything without. What
     reaches a side wall has been scattered often: a forward-peaked medium is exchanged for the
-    similar one of equal absorption and equal sigma_s (1 - g), at a tenth of the cost and within 5
-    percent of the loss at g = 0.9.
+    similar one of equal absorption and equal sigma_s (1 - g), at a fraction of the cost and about 6
+    percent of the loss off at g = 0.9.
     """
     medium = _similar(medium)
     cells = math.ceil(tank.width_mm * medium.sigma_t_per_mm / CELL_TAU)
