@@ -286,9 +286,9 @@ def read_calibration(path: StrPath) -> RecordFile:
 
 def report_calibration(record: StrPath, out: StrPath | None = None) -> Path:
     """Write figures and a self-contained HTML page of a calibration record; return the page."""
-    from labrig.calibration_page import write_page  # noqa: PLC0415 - matplotlib takes a second
+    from labrig.calibration_page import write_record_page  # noqa: PLC0415 - matplotlib takes a second
 
-    return write_page(Path(record), None if out is None else Path(out))
+    return write_record_page(Path(record), None if out is None else Path(out))
 
 
 def draw_board(out: StrPath, **sizes: float) -> tuple[Path, ...]:
@@ -328,21 +328,30 @@ def reweight(result: Result, sigma_s_per_mm: float) -> Result:
 def report(
     result: Result | StrPath,
     out: StrPath | None = None,
+    *,
+    beside: Result | StrPath | None = None,
 ) -> Path:
     """Write figures and a self-contained HTML report; return the path of the page.
 
     Parameters
     ----------
     result : a result, its folder, a session folder (its newest result), or a calibration record
+    beside : a second result: the page holds both side by side, for beams that enter straight and
+        aslant, two fillings, two exposures
 
     Raises
     ------
     labrig.errors.SessionError
         If there are no results, or they are damaged.
     """
-    from labrig.report_page import write_report  # noqa: PLC0415 - matplotlib takes a second to load
+    from labrig.beside_page import write_beside  # noqa: PLC0415 - matplotlib takes a second
+    from labrig.report_page import write_report  # noqa: PLC0415 - to load
 
+    place = None if out is None else Path(out)
     if not isinstance(result, Result) and _calibration_store.is_record(Path(result)):
         return report_calibration(result, out)
     found = result if isinstance(result, Result) else read_results(Path(result))
-    return write_report(found, None if out is None else Path(out), found.run.get("truth"))
+    if beside is None:
+        return write_report(found, place, found.run.get("truth"))
+    other = beside if isinstance(beside, Result) else read_results(Path(beside))
+    return write_beside(found, other, place)
