@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import toy
 
+import labrig
 from drivers.camera.protocol import CameraSettings
 from drivers.errors import NoFrameError
 from drivers.simulation.clock import VirtualClock
@@ -131,6 +132,17 @@ def test_doctor_names_what_is_missing_and_the_remedy(command, small_rig, tmp_pat
     assert all(finding["ok"] or finding["remedy"] for finding in found.values())
     assert "fsync" in found["disk"]["text"]
     assert list(tmp_path.iterdir()) == []
+
+
+def test_doctor_fails_where_a_device_of_the_rig_is_missing(command, tmp_path) -> None:
+    bench = (labrig.config_folder() / "rigs" / "bench.yaml").read_text(encoding="utf-8")
+    rig = tmp_path / "bench.yaml"
+    rig.write_text(bench, encoding="utf-8")
+    said = command("doctor", "--rig", rig, "--out", tmp_path)
+    assert said.code == 4
+    assert "to mend: plug it in" in said.out
+    # what no rig needs may be missing
+    assert command("doctor", "--out", tmp_path).code == 0
 
 
 def test_reading_a_session_leaves_it_as_it_was(command, session_copy: Path) -> None:
