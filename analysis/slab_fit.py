@@ -17,12 +17,13 @@ from scipy.optimize import least_squares
 from analysis.errors import AnalysisError
 from analysis.medium import Slab
 from analysis.phase_function import Array
-from analysis.slab_profiles import FEWEST, Problem, Scales, SlabProfiles
+from analysis.slab_profiles import FEWEST, Problem, SlabProfiles
 from analysis.slab_table import Range, SlabTable, camera_orders
 from analysis.transport.slab_resolution import depths, directions
 
 Choice = tuple[Range, Range, float, tuple[int, int]]
 Orders = Callable[[float, float], list[Array]]
+Contrasts = Callable[[float, float, float], tuple[Array, Array]]
 
 TABLES = (  # range of g, of sigma_t over the decay of the profile, fineness, nodes
     ((-0.4, 0.6), (0.9, 1.35), 0.55, (3, 4)),
@@ -46,8 +47,10 @@ class SlabFit:
 
     Attributes
     ----------
-    scales : (n,), of each profile; equal if one was asked for
-    covariance : (3, 3) of (sigma_t, sigma_s, g), of the camera's noise
+    scales : (n_q + 1,), of each harmonic and, last, of white light; they differ by what the
+        contrasts are found to be other than they were told
+    covariance, model_covariance : (3, 3) of (sigma_t, sigma_s, g), of the camera's noise, and of
+        the model's own error and that of the contrasts
     by_height, by_index : (3,), what the three change by per mm of height and per unit of index:
         the fit does not see such a mistake, and its misfit does not show it; NaN if not asked for
     model : (n, n_x), for the profiles in the order of `SlabProfiles.stacked`
@@ -63,6 +66,7 @@ class SlabFit:
     g: float
     scales: Array
     covariance: Array
+    model_covariance: Array
     by_height: Array
     by_index: Array
     model: Array
@@ -79,8 +83,8 @@ class SlabFit:
         return np.asarray(self.covariance / np.outer(std, std))
 
     def covariance_with(self, *, height_std_mm: float, index_std: float) -> Array:
-        """Return the covariance with what is not known of height and index, (3, 3)."""
-        found = self.covariance.copy()
+        """Return all covariance, with what is not known of height and index, (3, 3)."""
+        found = self.covariance + self.model_covariance
         for slope, std in ((self.by_height, height_std_mm), (self.by_index, index_std)):
             if std > 0.0:
                 found += np.outer(slope, slope) * std**2
@@ -112,7 +116,7 @@ def fit_slab(
     slab: Slab,
     *,
     table: SlabTable | None = None,
-    scales: Scales = "one",
+    contrasts: Contrasts | None = None,
     unknown_walls: bool = False,
 ) -> SlabFit:
     """Find sigma_t, sigma_s and g by least squares, each datum weighed by its variance.
@@ -123,7 +127,9 @@ def fit_slab(
     Parameters
     ----------
     table : for these wave numbers, height, index and at least these depths
-    scales : "one" where the stripes' contrast is known, else "each"
+    contrasts : of (sigma_t, sigma_s, g), returns the stripes' contrasts over what the harmonics
+        were divided by, and their relative standard deviations, (n_q,) each; for contrasts that
+        are measured in the same light
     unknown_walls : whether what height and index do to the answer is wanted, at some more solutions
 
     Raises
@@ -133,8 +139,11 @@ def fit_slab(
     """
     if table is not None:
         _refuse_other(table, slab, profiles)
-        problem = Problem.of(profiles, table.x_mm, scales)
+        problem = Problem.of(profiles, table.x_mm)
         at, sure = _minimise(problem, table.orders, table, None)
+        if contrasts is not None:
+            problem = problem.with_ratio(*contrasts(at[0], at[0] * at[1], at[2]))
+            at, sure = _minimise(problem, table.orders, table, at)
         found = _Found(
             at=at,
             orders=table.orders,
@@ -145,21 +154,21 @@ def fit_slab(
             n_solved=0,
         )
     else:
-        found = _solve_and_fit(profiles, slab, scales)
-    covariance, gain = _covariance(found.problem, found.orders, found.at)
+        found = _solve_and_fit(profiles, slab, contrasts)
+    gain = _gain(found.problem, found.orders, found.at)
     by_walls = np.full((2, 3), np.nan)
     if unknown_walls:
         by_walls = _by_walls(found, gain)
-    return _told(found, covariance, by_walls)
+    return _told(found, gain, by_walls)
 
 
-def _solve_and_fit(profiles: SlabProfiles, slab: Slab, scales: Scales) -> _Found:
+def _solve_and_fit(profiles: SlabProfiles, slab: Slab, contrasts: Contrasts | None) -> _Found:
     """Fit with a coarse table for the range of g it takes, then correct that where the fit is."""
     n_solved = 0
     for choice in TABLES:
         table = _first_table(profiles, slab, choice)
         n_solved += table.wavenumbers_per_mm.size * math.prod(choice[3])
-        problem = Problem.of(profiles, table.x_mm, scales)
+        problem = Problem.of(profiles, table.x_mm)
         at, _ = _minimise(problem, table.orders, table, None)
         if at[2] < table.g[1] - AT_END:
             break
@@ -167,9 +176,11 @@ def _solve_and_fit(profiles: SlabProfiles, slab: Slab, scales: Scales) -> _Found
     for _ in range(CORRECTIONS):
         orders = _corrected(table, at)
         n_solved += table.wavenumbers_per_mm.size
+        if contrasts is not None:
+            problem = problem.with_ratio(*contrasts(at[0], at[0] * at[1], at[2]))
         before = at
         at, sure = _minimise(problem, orders, table, at)
-        std = np.sqrt(np.diag(_covariance(problem, orders, at)[0]))
+        std = np.linalg.norm(_gain(problem, orders, at), axis=1)
         settled = bool(np.all(np.abs(at - before) < SETTLED * np.maximum(std, 0.005 * np.abs(at))))
         if settled:
             break
@@ -184,12 +195,16 @@ def _solve_and_fit(profiles: SlabProfiles, slab: Slab, scales: Scales) -> _Found
     )
 
 
-def _told(found: _Found, covariance: Array, by_walls: Array) -> SlabFit:
+def _told(found: _Found, gain: Array, by_walls: Array) -> SlabFit:
     problem, at = found.problem, found.at
+    noise = (problem.noise / problem.std)[problem.use]
+    by_noise = gain[:, : noise.size] * noise
+    by_model = gain.copy()
+    by_model[:, : noise.size] *= np.sqrt(1.0 - noise**2)
     sigma_t, albedo, g = (float(v) for v in at)
     shapes = problem.profiles(found.orders(sigma_t, g), sigma_t, albedo)
     scales, model = problem.scaled(shapes)
-    chi2 = float((problem.pulls(model) ** 2).sum())
+    chi2 = float((problem.pulls(model, scales) ** 2).sum())
     light = problem.values[problem.use]
     left = light - model[problem.use]
     to_sigma_s = np.array([[1.0, 0.0, 0.0], [albedo, sigma_t, 0.0], [0.0, 0.0, 1.0]])
@@ -198,7 +213,8 @@ def _told(found: _Found, covariance: Array, by_walls: Array) -> SlabFit:
         sigma_s_per_mm=sigma_t * albedo,
         g=g,
         scales=scales,
-        covariance=to_sigma_s @ covariance @ to_sigma_s.T,
+        covariance=to_sigma_s @ by_noise @ by_noise.T @ to_sigma_s.T,
+        model_covariance=to_sigma_s @ by_model @ by_model.T @ to_sigma_s.T,
         by_height=to_sigma_s @ by_walls[0],
         by_index=to_sigma_s @ by_walls[1],
         model=model,
@@ -253,7 +269,8 @@ def _minimise(
     bounds = np.array([[low, ALBEDO[0], table.g[0]], [high, ALBEDO[1], table.g[1]]])
 
     def residual(p: Array) -> Array:
-        return problem.pulls(problem.scaled(problem.profiles(orders(p[0], p[2]), p[0], p[1]))[1])
+        scales, model = problem.scaled(problem.profiles(orders(p[0], p[2]), p[0], p[1]))
+        return problem.pulls(model, scales)
 
     span = table.g[1] - table.g[0]
     starts = [np.array([low + 0.2 * (high - low), 0.7, table.g[0] + s * span]) for s in (0.8, 0.3)]
@@ -293,31 +310,42 @@ def _corrected(table: SlabTable, at: Array) -> Orders:
     return orders
 
 
-def _covariance(problem: Problem, orders: Orders, at: Array) -> tuple[Array, Array]:
-    """Return the covariance of (sigma_t, albedo, g), and what data errors do to them, (3, n n_x).
+def _gain(problem: Problem, orders: Orders, at: Array) -> Array:
+    """Return what errors of data and contrasts do to (sigma_t, albedo, g), (3, n_data + n_q).
 
-    The scales are fitted along; errors are in units of the noise.
+    The scales are fitted along; errors are in units of their std, so that the rows' products are
+    the covariance.
     """
 
     def model(p: Array) -> Array:
         return problem.profiles(orders(p[0], p[2]), p[0], p[1])
 
-    steps = np.array([1e-3 * at[0], 1e-4, 1e-3])
-    scales, _ = problem.scaled(model(at))
+    here = model(at)
+    scales, _ = problem.scaled(here)
+    n_q = problem.ratio.size
+    nothing = np.zeros(n_q)
     columns = []
-    for i, step in enumerate(steps):
+
+    def told(change: Array, of_contrast: Array) -> Array:
+        return np.concatenate([(change / problem.std)[problem.use], of_contrast])
+
+    for i, step in enumerate((1e-3 * at[0], 1e-4, 1e-3)):
         ahead, behind = at.copy(), at.copy()
         ahead[i] += step
         behind[i] -= step
-        columns.append(scales[:, None] * (model(ahead) - model(behind)) / (2.0 * step))
-    here = model(at)
-    if problem.scales == "one":
-        columns.append(here)
-    else:
-        columns.extend(np.diag(np.ones(len(here)))[i][:, None] * here for i in range(len(here)))
-    jacobian = np.array([(c / problem.std)[problem.use] for c in columns])
-    normal = np.linalg.pinv(jacobian @ jacobian.T, rcond=1e-14)
-    return normal[:3, :3], np.asarray(normal @ jacobian)[:3]
+        change = scales[: len(here), None] * (model(ahead) - model(behind)) / (2.0 * step)
+        columns.append(told(change, nothing))
+    off = scales[:-1] / (scales[-1] * problem.ratio * problem.ratio_std)
+    for i, shape in enumerate(here):
+        change = np.zeros_like(here)
+        change[i] = shape
+        of_contrast = np.where(np.arange(n_q) == i, off, 0.0) / scales[i]
+        columns.append(told(change, of_contrast if i < n_q else -off / scales[-1]))
+    if len(here) == n_q:
+        columns.append(told(np.zeros_like(here), -off / scales[-1]))
+    jacobian = np.array(columns)
+    normal = np.linalg.pinv(jacobian @ jacobian.T, rcond=1e-14, hermitian=True)
+    return np.asarray(normal @ jacobian)[:3]
 
 
 def _by_walls(found: _Found, gain: Array) -> Array:
@@ -340,9 +368,10 @@ def _by_walls(found: _Found, gain: Array) -> Array:
         (replace(table.slab, height_mm=1.02 * height), 0.02 * height),
         (replace(table.slab, surface_index=index + 0.02), 0.02),
     ):
-        seen = scales[:, None] * (model(changed) - here) / step
+        seen = scales[: len(here), None] * (model(changed) - here) / step
+        shift = (seen / problem.std)[problem.use]
         # The model changes by this; the parameters move to undo it.
-        moved.append(-gain @ (seen / problem.std)[problem.use])
+        moved.append(-gain[:, : shift.size] @ shift)
     return np.array(moved)
 
 
