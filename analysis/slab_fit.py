@@ -49,6 +49,7 @@ class SlabFit:
     ----------
     scales : (n_q + 1,), of each harmonic and, last, of white light; they differ by what the
         contrasts are found to be other than they were told
+    scale_std : of the scale of white light, of the camera's noise
     covariance, model_covariance : (3, 3) of (sigma_t, sigma_s, g), of the camera's noise, and of
         the model's own error and that of the contrasts
     by_height, by_index : (3,), what the three change by per mm of height and per unit of index:
@@ -65,6 +66,7 @@ class SlabFit:
     sigma_s_per_mm: float
     g: float
     scales: Array
+    scale_std: float
     covariance: Array
     model_covariance: Array
     by_height: Array
@@ -180,7 +182,7 @@ def _solve_and_fit(profiles: SlabProfiles, slab: Slab, contrasts: Contrasts | No
             problem = problem.with_ratio(*contrasts(at[0], at[0] * at[1], at[2]))
         before = at
         at, sure = _minimise(problem, orders, table, at)
-        std = np.linalg.norm(_gain(problem, orders, at), axis=1)
+        std = np.linalg.norm(_gain(problem, orders, at)[:3], axis=1)
         settled = bool(np.all(np.abs(at - before) < SETTLED * np.maximum(std, 0.005 * np.abs(at))))
         if settled:
             break
@@ -198,8 +200,8 @@ def _solve_and_fit(profiles: SlabProfiles, slab: Slab, contrasts: Contrasts | No
 def _told(found: _Found, gain: Array, by_walls: Array) -> SlabFit:
     problem, at = found.problem, found.at
     noise = (problem.noise / problem.std)[problem.use]
-    by_noise = gain[:, : noise.size] * noise
-    by_model = gain.copy()
+    by_noise = gain[:3, : noise.size] * noise
+    by_model = gain[:3].copy()
     by_model[:, : noise.size] *= np.sqrt(1.0 - noise**2)
     sigma_t, albedo, g = (float(v) for v in at)
     shapes = problem.profiles(found.orders(sigma_t, g), sigma_t, albedo)
@@ -213,6 +215,7 @@ def _told(found: _Found, gain: Array, by_walls: Array) -> SlabFit:
         sigma_s_per_mm=sigma_t * albedo,
         g=g,
         scales=scales,
+        scale_std=float(np.linalg.norm(gain[3, : noise.size] * noise)),
         covariance=to_sigma_s @ by_noise @ by_noise.T @ to_sigma_s.T,
         model_covariance=to_sigma_s @ by_model @ by_model.T @ to_sigma_s.T,
         by_height=to_sigma_s @ by_walls[0],
@@ -311,10 +314,10 @@ def _corrected(table: SlabTable, at: Array) -> Orders:
 
 
 def _gain(problem: Problem, orders: Orders, at: Array) -> Array:
-    """Return what errors of data and contrasts do to (sigma_t, albedo, g), (3, n_data + n_q).
+    """Return what errors of data and contrasts do to (sigma_t, albedo, g, scale of white light).
 
     The scales are fitted along; errors are in units of their std, so that the rows' products are
-    the covariance.
+    the covariance: (4, n_data + n_q).
     """
 
     def model(p: Array) -> Array:
@@ -345,7 +348,7 @@ def _gain(problem: Problem, orders: Orders, at: Array) -> Array:
         columns.append(told(np.zeros_like(here), -off / scales[-1]))
     jacobian = np.array(columns)
     normal = np.linalg.pinv(jacobian @ jacobian.T, rcond=1e-14, hermitian=True)
-    return np.asarray(normal @ jacobian)[:3]
+    return np.asarray(normal @ jacobian)[[0, 1, 2, 3 + n_q]]
 
 
 def _by_walls(found: _Found, gain: Array) -> Array:
@@ -371,7 +374,7 @@ def _by_walls(found: _Found, gain: Array) -> Array:
         seen = scales[: len(here), None] * (model(changed) - here) / step
         shift = (seen / problem.std)[problem.use]
         # The model changes by this; the parameters move to undo it.
-        moved.append(-gain[:, : shift.size] @ shift)
+        moved.append(-gain[:3, : shift.size] @ shift)
     return np.array(moved)
 
 

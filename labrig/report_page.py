@@ -18,6 +18,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from labrig import figures
 from labrig.errors import RunError
 from labrig.figure_set import all_figures
+from labrig.report_models import model_rows
 from labrig.results import Result
 from labrig.views import along_beam, length_unit, with_std
 
@@ -78,6 +79,12 @@ CAPTIONS = {
         "Light against depth with the exponential fitted to it over the shaded depths, and the "
         "residual relative to the fit. Light without separation bends away from an exponential, "
         "for it holds multiple scattering; single scattering should leave no trend.",
+    ),
+    "layer": (
+        "A layer and a plane",
+        "What keeps the stripes, and the white light, with the light of the layer's medium (line). "
+        "Below, what the layer's model leaves, and what a plane's best fit leaves (dashed): light "
+        "that escapes through the surface bends the curves in a way that no plane can.",
     ),
     "stripes": (
         "Stripes and white light together",
@@ -167,6 +174,7 @@ def render(result: Result, plates: list[Plate], truth: Mapping[str, float]) -> s
         unit=unit,
         parameters=list(parameter_rows(run, unit, truth)),
         with_truth=bool(truth),
+        models=list(model_rows(run, unit, truth)),
         remarks=list(remarks(run, unit)),
         uncertainty=run.get("uncertainty", ""),
         methods=_methods(run, unit),

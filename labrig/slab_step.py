@@ -19,8 +19,8 @@ from analysis.slab_table import STRIPED_ORDERS, camera_orders
 from analysis.stripe_problem import FACE_ERROR, MODEL_ERROR, Observed, Problem
 from analysis.transport.slab_resolution import depths, directions
 from calibration.errors import CalibrationError
-from labrig.joint_step import Seen, observe
-from labrig.models.setup import Setup
+from labrig.joint_step import Joint, Seen, observe
+from labrig.models.setup import WATER, Setup
 from labrig.rectify import Pictures
 from labrig.steps import Decay
 
@@ -28,6 +28,9 @@ Array = NDArray[np.float64]
 
 OF_CONTRAST = 0.6  # fineness of what the stripes' contrast is corrected by
 UNKNOWN_HEIGHT = 0.05  # of the height: what a mistake of this size does is told
+OFF_PLANE = 10.0  # chi^2 per degree of freedom of the plane's fit from which a layer is tried
+TRIED_HEIGHT = 1.0  # mean free paths
+FAR_BETTER = 2.0  # ratio of misfits at which light is said to be a layer's
 OFF_MODEL = 4.0  # chi^2 per degree of freedom at which the model does not hold
 
 
@@ -43,13 +46,27 @@ class Layer:
     contrast : (n_periods,), c1 of the stripes
     """
 
-    slab: Slab
+    slab: Slab | None
     fit: SlabFit | None
     observed: Observed | None
     harmonics: Array
     white: Array
     contrast: Array
     notes: tuple[str, ...]
+
+    @classmethod
+    def without_fit(cls, slab: Slab | None, note: str) -> Layer:
+        """Return a layer that there is only something to say of."""
+        none = np.empty(0)
+        return cls(
+            slab=slab,
+            fit=None,
+            observed=None,
+            harmonics=none,
+            white=none,
+            contrast=none,
+            notes=(note,),
+        )
 
     @property
     def medium(self) -> Medium | None:
@@ -63,31 +80,24 @@ class Layer:
         )
 
 
-def fit_layer(pictures: Pictures, setup: Setup, decay: Decay) -> Layer | None:
-    """Fit sigma_t, sigma_s and g of a layer; None where the height of the liquid is unknown."""
+def fit_layer(pictures: Pictures, setup: Setup, decay: Decay, joint: Joint) -> Layer | None:
+    """Fit sigma_t, sigma_s and g of a layer, if the height of the liquid is known.
+
+    Where it is not, and a plane does not explain the light, a layer of some height is tried, and
+    said to be one if it does; None if nothing is to be said.
+    """
     slab = None if setup.tank is None else setup.tank.slab()
+    guess = decay.attenuation.sigma_t_per_mm
     if slab is None:
-        return None
-    guess, none = decay.attenuation.sigma_t_per_mm, np.empty(0)
+        note = _looks_like_layer(pictures, setup, decay, joint)
+        return Layer.without_fit(None, note) if note else None
     try:
         seen = observe(pictures, setup, guess, decay.tank)
-        first = seen.contrasts()
-        width_mm = float(np.diff(seen.bins.first).mean()) * pictures.pixel
-        profiles, sharp = profiles_of(seen, first, guess, width_mm)
-        fit = fit_slab(
-            profiles, slab, contrasts=_contrasts(seen, slab, sharp), unknown_walls=True
-        )
+        profiles, sharp = profiles_of(seen, pictures.pixel, guess)
+        fit = fit_slab(profiles, slab, contrasts=_contrasts(seen, slab, sharp), unknown_walls=True)
     except (AnalysisError, CalibrationError) as error:
         note = f"No fit of a layer ({error}) The values are effective parameters of a plane."
-        return Layer(
-            slab=slab,
-            fit=None,
-            observed=None,
-            harmonics=none,
-            white=none,
-            contrast=none,
-            notes=(note,),
-        )
+        return Layer.without_fit(slab, note)
     used = np.isfinite(profiles.stacked()[1])
     model = np.where(used, fit.model, np.nan)
     return Layer(
@@ -101,14 +111,12 @@ def fit_layer(pictures: Pictures, setup: Setup, decay: Decay) -> Layer | None:
     )
 
 
-def profiles_of(
-    seen: Seen, contrasts: list[tuple[float | None, float]], sigma_t_per_mm: float, bin_mm: float
-) -> tuple[SlabProfiles, Array]:
+def profiles_of(seen: Seen, pixel_mm: float, sigma_t_per_mm: float) -> tuple[SlabProfiles, Array]:
     """Return what is fitted, and the contrasts (n_periods,) that its harmonics are divided by.
 
     Depths are those at which the plane model is fitted too.
     """
-    observed = seen.observed
+    observed, contrasts = seen.observed, seen.contrasts()
     depths_of = Problem(observed, "hg-plane", sigma_t_per_mm)
     known = [c1 is not None for c1, _ in contrasts]
     sharp = np.array([square_contrast(0.5) if c1 is None else c1 for c1, _ in contrasts])
@@ -117,7 +125,7 @@ def profiles_of(
     lit = observed.white.moment[0].real
     return SlabProfiles(
         depth_mm=observed.x_mm,
-        bin_mm=bin_mm,
+        bin_mm=float(np.diff(seen.bins.first).mean()) * pixel_mm,
         wavenumbers_per_mm=np.array([abs(s.wavenumber_per_mm) for s in observed.stripes]),
         harmonics=np.where(np.array(depths_of.striped), amplitude, np.nan),
         variance=variance,
@@ -129,6 +137,29 @@ def profiles_of(
         model_error=MODEL_ERROR,
         face_error=FACE_ERROR,
     ), sharp
+
+
+def _looks_like_layer(pictures: Pictures, setup: Setup, decay: Decay, joint: Joint) -> str | None:
+    """Return a warning where a layer explains the light far better than the plane does."""
+    if joint.fit is None or joint.fit.chi2_per_dof < OFF_PLANE:
+        return None
+    guess = decay.attenuation.sigma_t_per_mm
+    height_mm = TRIED_HEIGHT / guess
+    tried = Slab(depth_mm=decay.tank.depth_mm, height_mm=height_mm, surface_index=WATER)
+    try:
+        seen = observe(pictures, setup, guess, decay.tank)
+        profiles, sharp = profiles_of(seen, pictures.pixel, guess)
+        fit = fit_slab(profiles, tried, contrasts=_contrasts(seen, tried, sharp))
+    except (AnalysisError, CalibrationError):
+        return None
+    times = math.sqrt(joint.fit.chi2_per_dof / fit.chi2_per_dof)
+    if times < FAR_BETTER:
+        return None
+    return (
+        f"This looks like light of a thin layer, not of a plane: one of {height_mm:.2g} "
+        f"{pictures.unit} misses it {times:.1f} times less. The values are effective parameters "
+        "of a plane, whose sigma_s and g are far off: give tank.height_mm."
+    )
 
 
 def _contrasts(seen: Seen, slab: Slab, sharp: Array) -> Contrasts:
@@ -152,9 +183,7 @@ def answer_of(
         deep = min(slab.depth_mm, float(x_mm.max()) + 3.0 * slab.height_mm)
         near = replace(slab, depth_mm=deep)
         at = depths(sigma_t, near, fineness=OF_CONTRAST)
-        grid = directions(
-            g, near, at, wavenumber_per_mm=wavenumber_per_mm, fineness=OF_CONTRAST
-        )
+        grid = directions(g, near, at, wavenumber_per_mm=wavenumber_per_mm, fineness=OF_CONTRAST)
         orders = camera_orders(sigma_t, g, near, grid, wavenumber_per_mm, STRIPED_ORDERS)
         light = CubicSpline(at, summed(orders, sigma_s / sigma_t))(x_mm)
         return np.asarray(light * np.exp(-sigma_t * x_mm))
