@@ -7,38 +7,19 @@ A(x; 0)``, with A the sum of all orders; nothing is taken to be single scatterin
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.optimize import least_squares
 
 from analysis.errors import AnalysisError
 from analysis.medium import Slab
 from analysis.phase_function import Array
-from analysis.slab_profiles import FEWEST, Problem, SlabProfiles
-from analysis.slab_table import Range, SlabTable, camera_orders
-from analysis.transport.slab_resolution import depths, directions
+from analysis.slab_profiles import SlabProfiles
+from analysis.slab_search import Contrasts, Found, gain, search, search_table
+from analysis.slab_table import SlabTable, camera_orders
+from analysis.transport.slab_resolution import directions
 
-Choice = tuple[Range, Range, float, tuple[int, int]]
-Orders = Callable[[float, float], list[Array]]
-Contrasts = Callable[[float, float, float], tuple[Array, Array]]
-
-TABLES = (  # range of g, of sigma_t over the decay of the profile, fineness, nodes
-    ((-0.4, 0.6), (0.9, 1.35), 0.55, (3, 4)),
-    ((0.5, 0.82), (0.9, 1.5), 0.7, (4, 4)),
-    ((0.75, 0.96), (1.0, 2.1), 1.0, (4, 4)),
-)
-FINE, FINER = 1.2, 0.5  # of what corrects a table: at g = 0, and how much more where g is one
-COARSE_TAIL = 1e-3
-WALLS = 0.8  # fineness of what height and index change
-CORRECTIONS = 8
-CONVINCING = 2.0  # chi^2 per degree of freedom below which no other start is tried
-SETTLED = 0.1  # of a standard deviation or of half a percent, if that is more
-MOST_SEEN = 7.0  # mean free paths beyond the last bin that are still solved for
-ALBEDO = (1e-3, 1.0)
-AT_END = 0.02  # of a range of g: then the next one is tried
+WALLS = 0.7  # fineness of what height and index change
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,26 +74,6 @@ class SlabFit:
         return np.asarray(found)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Found:
-    """A minimum, and what led to it.
-
-    Attributes
-    ----------
-    at : sigma_t, albedo, g
-    shift : by how much the last correction moved it
-    sure : whether it lies inside its ranges, and corrections have settled
-    """
-
-    at: Array
-    orders: Orders
-    problem: Problem
-    table: SlabTable
-    shift: Array
-    sure: bool
-    n_solved: int
-
-
 def fit_slab(
     profiles: SlabProfiles,
     slab: Slab,
@@ -141,67 +102,21 @@ def fit_slab(
     """
     if table is not None:
         _refuse_other(table, slab, profiles)
-        problem = Problem.of(profiles, table.x_mm)
-        at, sure = _minimise(problem, table.orders, table, None)
-        if contrasts is not None:
-            problem = problem.with_ratio(*contrasts(at[0], at[0] * at[1], at[2]))
-            at, sure = _minimise(problem, table.orders, table, at)
-        found = _Found(
-            at=at,
-            orders=table.orders,
-            problem=problem,
-            table=table,
-            shift=np.zeros(3),
-            sure=sure,
-            n_solved=0,
-        )
+        found = search_table(profiles, table, contrasts)
     else:
-        found = _solve_and_fit(profiles, slab, contrasts)
-    gain = _gain(found.problem, found.orders, found.at)
+        found = search(profiles, slab, contrasts)
+    by_errors = gain(found.problem, found.orders, found.at)
     by_walls = np.full((2, 3), np.nan)
     if unknown_walls:
-        by_walls = _by_walls(found, gain)
-    return _told(found, gain, by_walls)
+        by_walls = _by_walls(found, by_errors)
+    return _told(found, by_errors, by_walls)
 
 
-def _solve_and_fit(profiles: SlabProfiles, slab: Slab, contrasts: Contrasts | None) -> _Found:
-    """Fit with a coarse table for the range of g it takes, then correct that where the fit is."""
-    n_solved = 0
-    for choice in TABLES:
-        table = _first_table(profiles, slab, choice)
-        n_solved += table.wavenumbers_per_mm.size * math.prod(choice[3])
-        problem = Problem.of(profiles, table.x_mm)
-        at, _ = _minimise(problem, table.orders, table, None)
-        if at[2] < table.g[1] - AT_END:
-            break
-    settled = False
-    for _ in range(CORRECTIONS):
-        orders = _corrected(table, at)
-        n_solved += table.wavenumbers_per_mm.size
-        if contrasts is not None:
-            problem = problem.with_ratio(*contrasts(at[0], at[0] * at[1], at[2]))
-        before = at
-        at, sure = _minimise(problem, orders, table, at)
-        std = np.linalg.norm(_gain(problem, orders, at)[:3], axis=1)
-        settled = bool(np.all(np.abs(at - before) < SETTLED * np.maximum(std, 0.005 * np.abs(at))))
-        if settled:
-            break
-    return _Found(
-        at=at,
-        orders=orders,
-        problem=problem,
-        table=table,
-        shift=at - before,
-        sure=sure and settled,
-        n_solved=n_solved,
-    )
-
-
-def _told(found: _Found, gain: Array, by_walls: Array) -> SlabFit:
+def _told(found: Found, by_errors: Array, by_walls: Array) -> SlabFit:
     problem, at = found.problem, found.at
     noise = (problem.noise / problem.std)[problem.use]
-    by_noise = gain[:3, : noise.size] * noise
-    by_model = gain[:3].copy()
+    by_noise = by_errors[:3, : noise.size] * noise
+    by_model = by_errors[:3].copy()
     by_model[:, : noise.size] *= np.sqrt(1.0 - noise**2)
     sigma_t, albedo, g = (float(v) for v in at)
     shapes = problem.profiles(found.orders(sigma_t, g), sigma_t, albedo)
@@ -215,7 +130,7 @@ def _told(found: _Found, gain: Array, by_walls: Array) -> SlabFit:
         sigma_s_per_mm=sigma_t * albedo,
         g=g,
         scales=scales,
-        scale_std=float(np.linalg.norm(gain[3, : noise.size] * noise)),
+        scale_std=float(np.linalg.norm(by_errors[3, : noise.size] * noise)),
         covariance=to_sigma_s @ by_noise @ by_noise.T @ to_sigma_s.T,
         model_covariance=to_sigma_s @ by_model @ by_model.T @ to_sigma_s.T,
         by_height=to_sigma_s @ by_walls[0],
@@ -229,129 +144,7 @@ def _told(found: _Found, gain: Array, by_walls: Array) -> SlabFit:
     )
 
 
-def _first_table(profiles: SlabProfiles, slab: Slab, choice: Choice) -> SlabTable:
-    """Return a coarse table around the decay of the first profile, no deeper than is needed."""
-    g, share, fineness, n_nodes = choice
-    q, values, variance = profiles.stacked()
-    sigma_t = _decay(profiles.depth_mm, values[0], variance[0])
-    seen = float(profiles.depth_mm[np.isfinite(values).any(axis=0)].max() + profiles.bin_mm)
-    deep = min(slab.depth_mm, seen + min(MOST_SEEN / sigma_t, 4.0 * slab.height_mm))
-    solved = replace(slab, depth_mm=max(deep, seen))
-    return SlabTable.build(
-        solved,
-        q,
-        depths(sigma_t, solved, fineness=fineness),
-        sigma_t_per_mm=(share[0] * sigma_t, share[1] * sigma_t),
-        g=g,
-        n_nodes=n_nodes,
-        fineness=fineness,
-        tail=COARSE_TAIL,
-    )
-
-
-def _decay(depth_mm: Array, values: Array, variance: Array) -> float:
-    """Return the rate at which a profile falls, 1/mm: Eq. 9, with whatever else is in it."""
-    with np.errstate(invalid="ignore"):
-        clear = np.isfinite(values) & (values > 5.0 * np.sqrt(variance))
-    if clear.sum() < FEWEST:
-        msg = "the profile stands above its noise at too few depths; expose longer, or bin wider."
-        raise AnalysisError(msg)
-    weight = values[clear] / np.sqrt(variance[clear])
-    slope = float(np.polyfit(depth_mm[clear], np.log(values[clear]), 1, w=weight)[0])
-    if not slope < 0.0:
-        msg = "the light does not fall with depth; is the lit side named rightly?"
-        raise AnalysisError(msg)
-    return -slope
-
-
-def _minimise(
-    problem: Problem, orders: Orders, table: SlabTable, at: Array | None
-) -> tuple[Array, bool]:
-    """Return (sigma_t, albedo, g) within the table's ranges, and whether it lies inside them."""
-    low, high = table.sigma_t_per_mm
-    bounds = np.array([[low, ALBEDO[0], table.g[0]], [high, ALBEDO[1], table.g[1]]])
-
-    def residual(p: Array) -> Array:
-        scales, model = problem.scaled(problem.profiles(orders(p[0], p[2]), p[0], p[1]))
-        return problem.pulls(model, scales)
-
-    span = table.g[1] - table.g[0]
-    starts = [np.array([low + 0.2 * (high - low), 0.7, table.g[0] + s * span]) for s in (0.8, 0.3)]
-    tried: list[tuple[float, Array, bool]] = []
-    for start in starts if at is None else [at]:
-        found = least_squares(
-            residual,
-            np.clip(start, bounds[0] + 1e-6, bounds[1] - 1e-6),
-            bounds=bounds,
-            x_scale=[0.1 * low, 0.1, 0.1],
-            xtol=1e-8,
-            ftol=1e-8,
-        )
-        inside = not np.any(found.active_mask)
-        tried.append((2.0 * float(found.cost), np.asarray(found.x), inside))
-        if tried[-1][0] < CONVINCING * problem.degrees_of_freedom:
-            break
-    _, best, inside = min(tried, key=lambda one: one[0])
-    return best, inside
-
-
-def _corrected(table: SlabTable, at: Array) -> Orders:
-    """Return the table's orders, moved to what a fine solution says they are at one place."""
-    sigma_t, g = float(at[0]), float(at[2])
-    fineness = FINE + FINER * g**8
-    fine_x = depths(sigma_t, table.slab, fineness=fineness)
-    moves = []
-    for q, here in zip(table.wavenumbers_per_mm, table.orders(sigma_t, g), strict=True):
-        grid = directions(g, table.slab, fine_x, wavenumber_per_mm=q, fineness=fineness)
-        fine = camera_orders(sigma_t, g, table.slab, grid, q, here.shape[0])
-        moves.append(CubicSpline(fine_x, fine, axis=1)(table.x_mm) - here)
-
-    def orders(sigma_t_per_mm: float, asymmetry: float) -> list[Array]:
-        there = table.orders(sigma_t_per_mm, asymmetry)
-        return [one + move for one, move in zip(there, moves, strict=True)]
-
-    return orders
-
-
-def _gain(problem: Problem, orders: Orders, at: Array) -> Array:
-    """Return what errors of data and contrasts do to (sigma_t, albedo, g, scale of white light).
-
-    The scales are fitted along; errors are in units of their std, so that the rows' products are
-    the covariance: (4, n_data + n_q).
-    """
-
-    def model(p: Array) -> Array:
-        return problem.profiles(orders(p[0], p[2]), p[0], p[1])
-
-    here = model(at)
-    scales, _ = problem.scaled(here)
-    n_q = problem.ratio.size
-    nothing = np.zeros(n_q)
-    columns = []
-
-    def told(change: Array, of_contrast: Array) -> Array:
-        return np.concatenate([(change / problem.std)[problem.use], of_contrast])
-
-    for i, step in enumerate((1e-3 * at[0], 1e-4, 1e-3)):
-        ahead, behind = at.copy(), at.copy()
-        ahead[i] += step
-        behind[i] -= step
-        change = scales[: len(here), None] * (model(ahead) - model(behind)) / (2.0 * step)
-        columns.append(told(change, nothing))
-    off = scales[:-1] / (scales[-1] * problem.ratio * problem.ratio_std)
-    for i, shape in enumerate(here):
-        change = np.zeros_like(here)
-        change[i] = shape
-        of_contrast = np.where(np.arange(n_q) == i, off, 0.0) / scales[i]
-        columns.append(told(change, of_contrast if i < n_q else -off / scales[-1]))
-    if len(here) == n_q:
-        columns.append(told(np.zeros_like(here), -off / scales[-1]))
-    jacobian = np.array(columns)
-    normal = np.linalg.pinv(jacobian @ jacobian.T, rcond=1e-14, hermitian=True)
-    return np.asarray(normal @ jacobian)[[0, 1, 2, 3 + n_q]]
-
-
-def _by_walls(found: _Found, gain: Array) -> Array:
+def _by_walls(found: Found, by_errors: Array) -> Array:
     """Return what (sigma_t, albedo, g) change by per mm of height and per unit of index, (2, 3)."""
     problem, table = found.problem, found.table
     sigma_t, albedo, g = (float(v) for v in found.at)
@@ -374,7 +167,7 @@ def _by_walls(found: _Found, gain: Array) -> Array:
         seen = scales[: len(here), None] * (model(changed) - here) / step
         shift = (seen / problem.std)[problem.use]
         # The model changes by this; the parameters move to undo it.
-        moved.append(-gain[:3, : shift.size] @ shift)
+        moved.append(-by_errors[:3, : shift.size] @ shift)
     return np.array(moved)
 
 

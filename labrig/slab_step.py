@@ -13,8 +13,9 @@ from scipy.interpolate import CubicSpline
 from analysis.errors import AnalysisError
 from analysis.medium import Medium, Slab
 from analysis.separation import square_contrast
-from analysis.slab_fit import Contrasts, SlabFit, fit_slab
+from analysis.slab_fit import SlabFit, fit_slab
 from analysis.slab_profiles import SlabProfiles, summed
+from analysis.slab_search import Contrasts
 from analysis.slab_table import STRIPED_ORDERS, camera_orders
 from analysis.stripe_problem import FACE_ERROR, MODEL_ERROR, Observed, Problem
 from analysis.transport.slab_resolution import depths, directions
