@@ -40,9 +40,19 @@ class SlabBounces:
 
 
 def slab_bounces(
-    medium: Medium, slab: Slab, beam: Beam, grid: Grid, *, n_bounces: int
+    medium: Medium,
+    slab: Slab,
+    beam: Beam,
+    grid: Grid,
+    *,
+    n_bounces: int,
+    fineness: float = FINENESS,
 ) -> SlabBounces:
     """Return bounces 1 .. n_bounces at the nodes of a grid, along y as means over its cells.
+
+    Parameters
+    ----------
+    fineness : of `slab_resolution.directions`; `slab_tolerance` finds one for a tolerance
 
     Raises
     ------
@@ -51,7 +61,8 @@ def slab_bounces(
     """
     beam = beam.entering(grid.tank)
     nodes = _wave_numbers(medium, slab, np.pi / grid.cell_y_mm)
-    fields = [_solved(medium, slab, float(q), n_bounces, grid.n_theta) for q in nodes]
+    shape = (n_bounces, grid.n_theta)
+    fields = [_solved(medium, slab, float(q), shape, fineness) for q in nodes]
     even, odd, plain = _window(beam, slab, grid, nodes)
     albedo = (medium.sigma_s_per_mm / medium.sigma_t_per_mm) ** np.arange(n_bounces)
     decay = np.exp(-medium.sigma_t_per_mm * grid.x_mm)
@@ -90,17 +101,18 @@ def _wave_numbers(medium: Medium, slab: Slab, fastest: float) -> Array:
 
 
 def _solved(
-    medium: Medium, slab: Slab, wavenumber: float, n_bounces: int, n_bearings: int
+    medium: Medium, slab: Slab, wavenumber: float, shape: tuple[int, int], fineness: float
 ) -> SlabField:
-    x = depths(medium.sigma_t_per_mm, slab, fineness=FINENESS)
-    grid = directions(medium.g, slab, x, wavenumber_per_mm=wavenumber, fineness=FINENESS)
+    """Solve for a number of bounces and of bearings."""
+    x = depths(medium.sigma_t_per_mm, slab, fineness=fineness)
+    grid = directions(medium.g, slab, x, wavenumber_per_mm=wavenumber, fineness=fineness)
     return solve_slab(
         medium,
         slab,
         grid,
-        n_bounces=n_bounces,
+        n_bounces=shape[0],
         wavenumber_per_mm=wavenumber,
-        n_bearings=n_bearings,
+        n_bearings=shape[1],
     )
 
 

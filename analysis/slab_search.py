@@ -332,5 +332,7 @@ def gain(problem: Problem, orders: Orders, at: Array) -> Array:
     if len(here) == n_q:
         columns.append(told(np.zeros_like(here), -off / scales[-1]))
     jacobian = np.array(columns)
-    normal = np.linalg.pinv(jacobian @ jacobian.T, rcond=1e-14, hermitian=True)
-    return np.asarray(normal @ jacobian)[[0, 1, 2, 3 + n_q]]
+    size = np.linalg.norm(jacobian, axis=1)  # scales are as large as the light is bright
+    size[size == 0.0] = 1.0
+    found = np.linalg.pinv((jacobian / size[:, None]).T, rcond=1e-10) / size[:, None]
+    return np.asarray(found)[[0, 1, 2, 3 + n_q]]

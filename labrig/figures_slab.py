@@ -1,4 +1,4 @@
-"""The figure of a layer: its light against depth, and what it and a plane leave of it."""
+"""Figures of layers: light against depth with what a layer and a plane leave, and heights."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from matplotlib.ticker import FuncFormatter
 
 from labrig import views
 from labrig.figures import INK, ORDERS, STYLE, WIDTH_IN
+from labrig.fillings import Fillings
 from labrig.results import Result
 
 LEAST_PERCENT, MOST_PERCENT = 1.0, 20.0  # half the range of the residuals' axes
@@ -79,3 +80,36 @@ def _settle(
         panel.axhline(0.0, color=INK, lw=0.8)
         panel.legend(loc="best")
     rest[0].set_ylabel("light over its model (%)")
+
+
+def fillings_figure(found: Fillings) -> Figure:
+    """Draw each parameter against the height of the liquid, by the layer's model and a plane's."""
+    with rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH_IN, 3.2), layout="constrained")
+        panels = figure.subplots(1, len(found.found), sharex=True)
+        symbols = {
+            "sigma_t_per_mm": r"$\sigma_t$ (1/mm)",
+            "sigma_s_per_mm": r"$\sigma_s$ (1/mm)",
+            "g": r"$g$",
+        }
+        for panel, one in zip(panels, found.found, strict=True):
+            panel.axhline(one.mean, color=ORDERS[0][0], lw=0.8)
+            panel.errorbar(
+                found.height_mm,
+                one.layer,
+                one.layer_std,
+                fmt="o-",
+                color=ORDERS[0][0],
+                capsize=3.0,
+                label="layer",
+            )
+            panel.plot(found.height_mm, one.plane, "s--", color=ORDERS[1][0], label="plane")
+            low, high = (f(*one.layer, *one.plane[np.isfinite(one.plane)]) for f in (min, max))
+            room = max(0.15 * (high - low), 0.01 * abs(high))
+            panel.set(
+                title=symbols.get(one.name, one.name),
+                xlabel="height of the liquid (mm)",
+                ylim=(low - room, high + room),
+            )
+        panels[0].legend(loc="best")
+        return figure

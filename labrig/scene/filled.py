@@ -38,3 +38,19 @@ def layered(scene: Scene, rig: Rig, plan: Plan) -> Scene:
         msg = f"{error}."
         raise PlanError(msg) from error
     return scene
+
+
+def refuse_layer(scene: Scene, what: str) -> None:
+    """Refuse a scene whose liquid has a height where all is computed in a plane.
+
+    Raises
+    ------
+    PlanError
+        With one line that says what to do.
+    """
+    if scene.tank.height_mm is not None:
+        msg = (
+            f"{what} computes in a plane, and the tank's liquid has a height of "
+            f"{scene.tank.height_mm:g} mm; leave tank.height_mm out for a plane."
+        )
+        raise PlanError(msg)
