@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -130,6 +131,14 @@ class Seen:
 
         Without a medium the contrast is up to half a percent wrong; None where it is not known.
         """
+        if medium is None:
+            return self.contrasts_by(None)
+        return self.contrasts_by(lambda q, x_mm: self._answer(medium, q, x_mm))
+
+    def contrasts_by(
+        self, answer: Callable[[float, Array], Array] | None
+    ) -> list[tuple[float | None, float]]:
+        """Return the same, corrected by what any model makes of a wave, A(q, x)."""
         found = []
         for stripe, series, third in zip(
             self.observed.stripes, self.series, self.thirds, strict=True
@@ -143,7 +152,7 @@ class Seen:
                     self.bins,
                     duty=series.duty,
                     near_mm=self.near_mm,
-                    answer=None if medium is None else lambda q, x: self._answer(medium, q, x),
+                    answer=answer,
                 )
             of_white = series.high - series.low
             c1 = None if told.contrast is None else told.contrast * of_white

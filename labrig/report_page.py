@@ -13,6 +13,7 @@ import numpy as np
 
 from labrig.figure_set import all_figures
 from labrig.page import Plate, plates, templates, write_page
+from labrig.report_models import model_rows
 from labrig.report_rows import extinction_rows, parameter_rows, quality_rows, remarks
 from labrig.results import Result
 from labrig.views import UNKNOWN, along_beam, length_unit
@@ -37,6 +38,12 @@ CAPTIONS = {
         "Light against depth with the exponential fitted to it over the shaded depths, and the "
         "residual relative to the fit. Light without separation bends away from an exponential, "
         "for it holds multiple scattering; single scattering should leave no trend.",
+    ),
+    "layer": (
+        "A layer and a plane",
+        "What keeps the stripes, and the white light, with the light of the layer's medium (line). "
+        "Below, what the layer's model leaves, and what a plane's best fit leaves (dashed): light "
+        "that escapes through the surface bends the curves in a way that no plane can.",
     ),
     "stripes": (
         "Stripes and white light together",
@@ -112,6 +119,7 @@ def render(result: Result, drawn: list[Plate], truth: Mapping[str, float]) -> st
             unit=unit,
             parameters=list(parameter_rows(run, unit, truth)),
             with_truth=bool(truth),
+            models=list(model_rows(run, unit, truth)),
             remarks=list(remarks(run, unit)),
             uncertainty=run.get("uncertainty", ""),
             methods=_methods(run, unit),

@@ -40,6 +40,7 @@ from labrig.real_devices import (
     make_projector,
     make_trigger,
 )
+from labrig.scene.filled import layered
 from labrig.scene.picture import Picture, Truth
 from labrig.scene.pipeline import lamp_of, see, sensor_of
 from labrig.simulated_disk import SimulatedDisk
@@ -202,6 +203,7 @@ def open_rig(
     RunError, PlanError, DriverError
         If scene, rig and plan do not fit one another.
     """
+    scene = layered(scene, rig, plan)
     if not isinstance(rig.camera, SimulatedCameraConfig):
         return _connect_real(rig, scene, latency)
     seen = see(scene, rig, plan, progress=progress)

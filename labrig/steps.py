@@ -83,7 +83,8 @@ class Explained:
     """The bounces of the medium found.
 
     ``inversion`` is the medium that the paper's way finds (Eqs. 9, 10), ``bounces`` are of the
-    one taken for the truth.
+    one taken for the truth. ``layer_fluence`` is (K, n_y, n_x), the mean over the height of a
+    layer's light, which its camera sees only a part of; None in a plane.
     """
 
     inversion: Inversion
@@ -91,6 +92,7 @@ class Explained:
     grid: Grid
     bounces: BounceField
     notes: tuple[str, ...]
+    layer_fluence: Array | None = None
 
 
 def separate(
