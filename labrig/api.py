@@ -137,11 +137,16 @@ def verify(session: StrPath, *, progress: Counted | None = None) -> list[Problem
 
 
 def open_rig(
-    rig: Rig | StrPath, scene: Scene | StrPath, plan: Plan, *, progress: Counted | None = None
+    rig: Rig | StrPath,
+    scene: Scene | StrPath | None,
+    plan: Plan,
+    *,
+    progress: Counted | None = None,
 ) -> OpenRig:
     """Open the devices of a rig, ready for a plan; use it in a ``with`` block.
 
-    A rig given as a file brings the latency record that lies beside it.
+    A rig given as a file brings the latency record that lies beside it. A simulated rig looks at
+    the scene; a real one needs none.
     ``progress(done, all)`` follows the Monte Carlo that makes a new scene's light.
 
     Raises
@@ -151,7 +156,7 @@ def open_rig(
     """
     latency = None if isinstance(rig, Rig) else _config.latency_beside(Path(rig))
     rig = rig if isinstance(rig, Rig) else load_rig(rig)
-    scene = scene if isinstance(scene, Scene) else load_scene(scene)
+    scene = scene if scene is None or isinstance(scene, Scene) else load_scene(scene)
     return _rig.open_rig(rig, scene, plan, latency=latency, progress=progress)
 
 

@@ -218,3 +218,11 @@ def test_recorded_session_is_a_camera(tmp_path: Path) -> None:
     with pytest.raises(NoFrameError, match="no frame left"):
         camera.collect(deadline_s=1.0, cancel=never)
     camera.close()
+
+
+def test_simulated_rig_needs_a_scene(command, small_rig, small_plan, tmp_path) -> None:
+    said = command("capture", small_plan, "--rig", small_rig, "--out", tmp_path)
+    assert said.code != 0
+    assert "is simulated and looks at a scene: give one with --scene" in said.err
+    assert len(said.err.strip().splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
