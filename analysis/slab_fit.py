@@ -7,37 +7,19 @@ A(x; 0)``, with A the sum of all orders; nothing is taken to be single scatterin
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.optimize import least_squares
 
 from analysis.errors import AnalysisError
 from analysis.medium import Slab
 from analysis.phase_function import Array
-from analysis.slab_profiles import FEWEST, Problem, Scales, SlabProfiles
-from analysis.slab_table import Range, SlabTable, camera_orders
-from analysis.transport.slab_resolution import depths, directions
+from analysis.slab_profiles import SlabProfiles
+from analysis.slab_search import Contrasts, Found, gain, search, search_table
+from analysis.slab_table import SlabTable, camera_orders
+from analysis.transport.slab_resolution import directions
 
-Choice = tuple[Range, Range, float, tuple[int, int]]
-Orders = Callable[[float, float], list[Array]]
-
-TABLES = (  # range of g, of sigma_t over the decay of the profile, fineness, nodes
-    ((-0.4, 0.6), (0.9, 1.35), 0.55, (3, 4)),
-    ((0.5, 0.82), (0.9, 1.5), 0.7, (4, 4)),
-    ((0.75, 0.96), (1.0, 2.1), 1.0, (4, 4)),
-)
-FINE, FINER = 1.2, 0.5  # of what corrects a table: at g = 0, and how much more where g is one
-COARSE_TAIL = 1e-3
-WALLS = 0.8  # fineness of what height and index change
-CORRECTIONS = 8
-CONVINCING = 2.0  # chi^2 per degree of freedom below which no other start is tried
-SETTLED = 0.1  # of a standard deviation or of half a percent, if that is more
-MOST_SEEN = 7.0  # mean free paths beyond the last bin that are still solved for
-ALBEDO = (1e-3, 1.0)
-AT_END = 0.02  # of a range of g: then the next one is tried
+WALLS = 0.7  # fineness of what height and index change
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,8 +28,11 @@ class SlabFit:
 
     Attributes
     ----------
-    scales : (n,), of each profile; equal if one was asked for
-    covariance : (3, 3) of (sigma_t, sigma_s, g), of the camera's noise
+    scales : (n_q + 1,), of each harmonic and, last, of white light; they differ by what the
+        contrasts are found to be other than they were told
+    scale_std : of the scale of white light, of the camera's noise
+    covariance, model_covariance : (3, 3) of (sigma_t, sigma_s, g), of the camera's noise, and of
+        the model's own error and that of the contrasts
     by_height, by_index : (3,), what the three change by per mm of height and per unit of index:
         the fit does not see such a mistake, and its misfit does not show it; NaN if not asked for
     model : (n, n_x), for the profiles in the order of `SlabProfiles.stacked`
@@ -62,7 +47,9 @@ class SlabFit:
     sigma_s_per_mm: float
     g: float
     scales: Array
+    scale_std: float
     covariance: Array
+    model_covariance: Array
     by_height: Array
     by_index: Array
     model: Array
@@ -79,32 +66,12 @@ class SlabFit:
         return np.asarray(self.covariance / np.outer(std, std))
 
     def covariance_with(self, *, height_std_mm: float, index_std: float) -> Array:
-        """Return the covariance with what is not known of height and index, (3, 3)."""
-        found = self.covariance.copy()
+        """Return all covariance, with what is not known of height and index, (3, 3)."""
+        found = self.covariance + self.model_covariance
         for slope, std in ((self.by_height, height_std_mm), (self.by_index, index_std)):
             if std > 0.0:
                 found += np.outer(slope, slope) * std**2
         return np.asarray(found)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Found:
-    """A minimum, and what led to it.
-
-    Attributes
-    ----------
-    at : sigma_t, albedo, g
-    shift : by how much the last correction moved it
-    sure : whether it lies inside its ranges, and corrections have settled
-    """
-
-    at: Array
-    orders: Orders
-    problem: Problem
-    table: SlabTable
-    shift: Array
-    sure: bool
-    n_solved: int
 
 
 def fit_slab(
@@ -112,7 +79,7 @@ def fit_slab(
     slab: Slab,
     *,
     table: SlabTable | None = None,
-    scales: Scales = "one",
+    contrasts: Contrasts | None = None,
     unknown_walls: bool = False,
 ) -> SlabFit:
     """Find sigma_t, sigma_s and g by least squares, each datum weighed by its variance.
@@ -123,7 +90,9 @@ def fit_slab(
     Parameters
     ----------
     table : for these wave numbers, height, index and at least these depths
-    scales : "one" where the stripes' contrast is known, else "each"
+    contrasts : of (sigma_t, sigma_s, g), returns the stripes' contrasts over what the harmonics
+        were divided by, and their relative standard deviations, (n_q,) each; for contrasts that
+        are measured in the same light
     unknown_walls : whether what height and index do to the answer is wanted, at some more solutions
 
     Raises
@@ -133,63 +102,26 @@ def fit_slab(
     """
     if table is not None:
         _refuse_other(table, slab, profiles)
-        problem = Problem.of(profiles, table.x_mm, scales)
-        at, sure = _minimise(problem, table.orders, table, None)
-        found = _Found(
-            at=at,
-            orders=table.orders,
-            problem=problem,
-            table=table,
-            shift=np.zeros(3),
-            sure=sure,
-            n_solved=0,
-        )
+        found = search_table(profiles, table, contrasts)
     else:
-        found = _solve_and_fit(profiles, slab, scales)
-    covariance, gain = _covariance(found.problem, found.orders, found.at)
+        found = search(profiles, slab, contrasts)
+    by_errors = gain(found.problem, found.orders, found.at)
     by_walls = np.full((2, 3), np.nan)
     if unknown_walls:
-        by_walls = _by_walls(found, gain)
-    return _told(found, covariance, by_walls)
+        by_walls = _by_walls(found, by_errors)
+    return _told(found, by_errors, by_walls)
 
 
-def _solve_and_fit(profiles: SlabProfiles, slab: Slab, scales: Scales) -> _Found:
-    """Fit with a coarse table for the range of g it takes, then correct that where the fit is."""
-    n_solved = 0
-    for choice in TABLES:
-        table = _first_table(profiles, slab, choice)
-        n_solved += table.wavenumbers_per_mm.size * math.prod(choice[3])
-        problem = Problem.of(profiles, table.x_mm, scales)
-        at, _ = _minimise(problem, table.orders, table, None)
-        if at[2] < table.g[1] - AT_END:
-            break
-    settled = False
-    for _ in range(CORRECTIONS):
-        orders = _corrected(table, at)
-        n_solved += table.wavenumbers_per_mm.size
-        before = at
-        at, sure = _minimise(problem, orders, table, at)
-        std = np.sqrt(np.diag(_covariance(problem, orders, at)[0]))
-        settled = bool(np.all(np.abs(at - before) < SETTLED * np.maximum(std, 0.005 * np.abs(at))))
-        if settled:
-            break
-    return _Found(
-        at=at,
-        orders=orders,
-        problem=problem,
-        table=table,
-        shift=at - before,
-        sure=sure and settled,
-        n_solved=n_solved,
-    )
-
-
-def _told(found: _Found, covariance: Array, by_walls: Array) -> SlabFit:
+def _told(found: Found, by_errors: Array, by_walls: Array) -> SlabFit:
     problem, at = found.problem, found.at
+    noise = (problem.noise / problem.std)[problem.use]
+    by_noise = by_errors[:3, : noise.size] * noise
+    by_model = by_errors[:3].copy()
+    by_model[:, : noise.size] *= np.sqrt(1.0 - noise**2)
     sigma_t, albedo, g = (float(v) for v in at)
     shapes = problem.profiles(found.orders(sigma_t, g), sigma_t, albedo)
     scales, model = problem.scaled(shapes)
-    chi2 = float((problem.pulls(model) ** 2).sum())
+    chi2 = float((problem.pulls(model, scales) ** 2).sum())
     light = problem.values[problem.use]
     left = light - model[problem.use]
     to_sigma_s = np.array([[1.0, 0.0, 0.0], [albedo, sigma_t, 0.0], [0.0, 0.0, 1.0]])
@@ -198,7 +130,9 @@ def _told(found: _Found, covariance: Array, by_walls: Array) -> SlabFit:
         sigma_s_per_mm=sigma_t * albedo,
         g=g,
         scales=scales,
-        covariance=to_sigma_s @ covariance @ to_sigma_s.T,
+        scale_std=float(np.linalg.norm(by_errors[3, : noise.size] * noise)),
+        covariance=to_sigma_s @ by_noise @ by_noise.T @ to_sigma_s.T,
+        model_covariance=to_sigma_s @ by_model @ by_model.T @ to_sigma_s.T,
         by_height=to_sigma_s @ by_walls[0],
         by_index=to_sigma_s @ by_walls[1],
         model=model,
@@ -210,117 +144,7 @@ def _told(found: _Found, covariance: Array, by_walls: Array) -> SlabFit:
     )
 
 
-def _first_table(profiles: SlabProfiles, slab: Slab, choice: Choice) -> SlabTable:
-    """Return a coarse table around the decay of the first profile, no deeper than is needed."""
-    g, share, fineness, n_nodes = choice
-    q, values, variance = profiles.stacked()
-    sigma_t = _decay(profiles.depth_mm, values[0], variance[0])
-    seen = float(profiles.depth_mm[np.isfinite(values).any(axis=0)].max() + profiles.bin_mm)
-    deep = min(slab.depth_mm, seen + min(MOST_SEEN / sigma_t, 4.0 * slab.height_mm))
-    solved = replace(slab, depth_mm=max(deep, seen))
-    return SlabTable.build(
-        solved,
-        q,
-        depths(sigma_t, solved, fineness=fineness),
-        sigma_t_per_mm=(share[0] * sigma_t, share[1] * sigma_t),
-        g=g,
-        n_nodes=n_nodes,
-        fineness=fineness,
-        tail=COARSE_TAIL,
-    )
-
-
-def _decay(depth_mm: Array, values: Array, variance: Array) -> float:
-    """Return the rate at which a profile falls, 1/mm: Eq. 9, with whatever else is in it."""
-    with np.errstate(invalid="ignore"):
-        clear = np.isfinite(values) & (values > 5.0 * np.sqrt(variance))
-    if clear.sum() < FEWEST:
-        msg = "the profile stands above its noise at too few depths; expose longer, or bin wider."
-        raise AnalysisError(msg)
-    weight = values[clear] / np.sqrt(variance[clear])
-    slope = float(np.polyfit(depth_mm[clear], np.log(values[clear]), 1, w=weight)[0])
-    if not slope < 0.0:
-        msg = "the light does not fall with depth; is the lit side named rightly?"
-        raise AnalysisError(msg)
-    return -slope
-
-
-def _minimise(
-    problem: Problem, orders: Orders, table: SlabTable, at: Array | None
-) -> tuple[Array, bool]:
-    """Return (sigma_t, albedo, g) within the table's ranges, and whether it lies inside them."""
-    low, high = table.sigma_t_per_mm
-    bounds = np.array([[low, ALBEDO[0], table.g[0]], [high, ALBEDO[1], table.g[1]]])
-
-    def residual(p: Array) -> Array:
-        return problem.pulls(problem.scaled(problem.profiles(orders(p[0], p[2]), p[0], p[1]))[1])
-
-    span = table.g[1] - table.g[0]
-    starts = [np.array([low + 0.2 * (high - low), 0.7, table.g[0] + s * span]) for s in (0.8, 0.3)]
-    tried: list[tuple[float, Array, bool]] = []
-    for start in starts if at is None else [at]:
-        found = least_squares(
-            residual,
-            np.clip(start, bounds[0] + 1e-6, bounds[1] - 1e-6),
-            bounds=bounds,
-            x_scale=[0.1 * low, 0.1, 0.1],
-            xtol=1e-8,
-            ftol=1e-8,
-        )
-        inside = not np.any(found.active_mask)
-        tried.append((2.0 * float(found.cost), np.asarray(found.x), inside))
-        if tried[-1][0] < CONVINCING * problem.degrees_of_freedom:
-            break
-    _, best, inside = min(tried, key=lambda one: one[0])
-    return best, inside
-
-
-def _corrected(table: SlabTable, at: Array) -> Orders:
-    """Return the table's orders, moved to what a fine solution says they are at one place."""
-    sigma_t, g = float(at[0]), float(at[2])
-    fineness = FINE + FINER * g**8
-    fine_x = depths(sigma_t, table.slab, fineness=fineness)
-    moves = []
-    for q, here in zip(table.wavenumbers_per_mm, table.orders(sigma_t, g), strict=True):
-        grid = directions(g, table.slab, fine_x, wavenumber_per_mm=q, fineness=fineness)
-        fine = camera_orders(sigma_t, g, table.slab, grid, q, here.shape[0])
-        moves.append(CubicSpline(fine_x, fine, axis=1)(table.x_mm) - here)
-
-    def orders(sigma_t_per_mm: float, asymmetry: float) -> list[Array]:
-        there = table.orders(sigma_t_per_mm, asymmetry)
-        return [one + move for one, move in zip(there, moves, strict=True)]
-
-    return orders
-
-
-def _covariance(problem: Problem, orders: Orders, at: Array) -> tuple[Array, Array]:
-    """Return the covariance of (sigma_t, albedo, g), and what data errors do to them, (3, n n_x).
-
-    The scales are fitted along; errors are in units of the noise.
-    """
-
-    def model(p: Array) -> Array:
-        return problem.profiles(orders(p[0], p[2]), p[0], p[1])
-
-    steps = np.array([1e-3 * at[0], 1e-4, 1e-3])
-    scales, _ = problem.scaled(model(at))
-    columns = []
-    for i, step in enumerate(steps):
-        ahead, behind = at.copy(), at.copy()
-        ahead[i] += step
-        behind[i] -= step
-        columns.append(scales[:, None] * (model(ahead) - model(behind)) / (2.0 * step))
-    here = model(at)
-    if problem.scales == "one":
-        columns.append(here)
-    else:
-        columns.extend(np.diag(np.ones(len(here)))[i][:, None] * here for i in range(len(here)))
-    jacobian = np.array([(c / problem.std)[problem.use] for c in columns])
-    normal = np.linalg.pinv(jacobian @ jacobian.T, rcond=1e-14)
-    return normal[:3, :3], np.asarray(normal @ jacobian)[:3]
-
-
-def _by_walls(found: _Found, gain: Array) -> Array:
+def _by_walls(found: Found, by_errors: Array) -> Array:
     """Return what (sigma_t, albedo, g) change by per mm of height and per unit of index, (2, 3)."""
     problem, table = found.problem, found.table
     sigma_t, albedo, g = (float(v) for v in found.at)
@@ -340,9 +164,10 @@ def _by_walls(found: _Found, gain: Array) -> Array:
         (replace(table.slab, height_mm=1.02 * height), 0.02 * height),
         (replace(table.slab, surface_index=index + 0.02), 0.02),
     ):
-        seen = scales[:, None] * (model(changed) - here) / step
+        seen = scales[: len(here), None] * (model(changed) - here) / step
+        shift = (seen / problem.std)[problem.use]
         # The model changes by this; the parameters move to undo it.
-        moved.append(-gain @ (seen / problem.std)[problem.use])
+        moved.append(-by_errors[:3, : shift.size] @ shift)
     return np.array(moved)
 
 

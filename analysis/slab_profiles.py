@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +11,9 @@ from scipy.interpolate import CubicSpline
 from analysis.errors import AnalysisError
 from analysis.phase_function import Array
 
-Scales = Literal["one", "each"]
-
 SUB_BINS = 4  # Gauss points in a bin of depth
 FEWEST = 6  # bins of depth
+LEAST_STD = 1e-6  # of a contrast that is taken to be known
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,6 +30,10 @@ class SlabProfiles:
         fitted: at normal incidence A(x; q) is real
     variance : (n_q, n_x)
     white, white_variance : (n_x,), or None
+    contrast_std : (n_q,), relative, of the contrasts; infinite where one is not known. Zero if
+        left out
+    model_error : of the light at a depth, relative: what the model leaves unexplained there
+    face_error : the same, of the brightest light
     """
 
     depth_mm: Array
@@ -41,6 +43,9 @@ class SlabProfiles:
     variance: Array
     white: Array | None
     white_variance: Array | None
+    contrast_std: Array | None = None
+    model_error: float = 0.0
+    face_error: float = 0.0
 
     def stacked(self) -> tuple[Array, Array, Array]:
         """Return wave numbers (n,), values and variances (n, n_x), white light last.
@@ -83,43 +88,59 @@ class Problem:
 
     Attributes
     ----------
+    noise : (n, n_x), std of the camera's noise; ``std`` holds the model's own error too
     at_mm, weight : (n_x, s) points of each bin and their weights
     to_points : (n_x s, n_nodes), spline from the table's depths
+    ratio, ratio_std : (n_q,), what a harmonic's scale is expected to be over that of white light,
+        and how well that is known, relative
     """
 
     values: Array
+    noise: Array
     std: Array
     use: NDArray[np.bool_]
     at_mm: Array
     weight: Array
     to_points: Array
-    scales: Scales
+    ratio: Array
+    ratio_std: Array
 
     @classmethod
-    def of(cls, profiles: SlabProfiles, x_mm: Array, scales: Scales) -> Problem:
+    def of(cls, profiles: SlabProfiles, x_mm: Array) -> Problem:
         """Return the problem for orders known at the depths ``x_mm``."""
         _, values, variance = profiles.stacked()
         node, weight = np.polynomial.legendre.leggauss(SUB_BINS if profiles.bin_mm > 0.0 else 1)
         at_mm = profiles.depth_mm[:, None] + 0.5 * profiles.bin_mm * node
+        n_q = len(profiles.harmonics)
+        told = np.zeros(n_q) if profiles.contrast_std is None else profiles.contrast_std
+        brightest = np.nanmax(np.abs(values), axis=1, keepdims=True)
+        error = profiles.model_error * np.abs(values) + profiles.face_error * brightest
         return cls(
             values=values,
-            std=np.sqrt(variance),
+            noise=np.sqrt(variance),
+            std=np.sqrt(variance + error**2),
             use=np.isfinite(values),
             at_mm=at_mm,
             weight=0.5 * weight,
             to_points=CubicSpline(x_mm, np.eye(x_mm.size))(at_mm.ravel()),
-            scales=scales,
+            ratio=np.ones(n_q),
+            ratio_std=np.maximum(np.asarray(told, dtype=np.float64), LEAST_STD),
         )
 
     @property
     def degrees_of_freedom(self) -> int:
         """Data less parameters."""
-        n_scales = 1 if self.scales == "one" else self.values.shape[0]
+        n_scales = 1 + int(np.isinf(self.ratio_std).sum())
         return max(int(self.use.sum()) - 3 - n_scales, 1)
 
-    def pulls(self, model: Array) -> Array:
-        """Return data less model in units of the noise, those measured, (n_data,)."""
-        return np.asarray(((self.values - model) / self.std)[self.use])
+    def pulls(self, model: Array, scales: Array) -> Array:
+        """Return data less model in units of their std, those measured; the contrasts' come last.
+
+        (n_data + n_q,)
+        """
+        left = ((self.values - model) / self.std)[self.use]
+        off = scales[:-1] / (scales[-1] * self.ratio) - 1.0
+        return np.concatenate([left, off / self.ratio_std])
 
     def profiles(self, orders: list[Array], sigma_t: float, albedo: float) -> Array:
         """Return A(x; q) of every profile, (n, n_x)."""
@@ -131,14 +152,33 @@ class Problem:
         return np.array(found)
 
     def scaled(self, shapes: Array) -> tuple[Array, Array]:
-        """Return the best scales (n,), and the shapes times these."""
+        """Return the best scales, that of white light last (n_q + 1,), and the shapes times these.
+
+        Without white light its scale is what the contrasts say of it.
+        """
         weighted = np.where(self.use, shapes / self.std**2, 0.0)
         up = np.where(self.use, weighted * self.values, 0.0).sum(axis=1)
         down = (weighted * shapes).sum(axis=1)
-        if self.scales == "one":
-            up, down = np.full_like(up, up.sum()), np.full_like(down, down.sum())
-        scales = up / down
-        return scales, scales[:, None] * shapes
+        n_q = self.ratio.size
+        own = np.append(up[:n_q] / down[:n_q], up[n_q] / down[n_q] if up.size > n_q else np.nan)
+        if up.size == n_q:
+            own[-1] = float(np.mean(own[:-1] / self.ratio))
+        # The prior is on a ratio of scales; it is linear about these.
+        prior = 1.0 / (self.ratio_std * self.ratio * own[-1]) ** 2
+        matrix = np.diag(np.append(down[:n_q] + prior, prior @ self.ratio**2))
+        matrix[:-1, -1] = matrix[-1, :-1] = -prior * self.ratio
+        right = np.append(up[:n_q], 0.0)
+        if up.size > n_q:
+            matrix[-1, -1] += down[n_q]
+            right[-1] += up[n_q]
+        scales = np.linalg.lstsq(matrix, right, rcond=None)[0]
+        if up.size == n_q and not prior.any():
+            scales[-1] = own[-1]  # nothing tells it, and nothing depends on it
+        return scales, scales[: up.size, None] * shapes
+
+    def with_ratio(self, ratio: Array, ratio_std: Array) -> Problem:
+        """Return the problem with contrasts that were found to be others."""
+        return replace(self, ratio=ratio, ratio_std=np.maximum(ratio_std, LEAST_STD))
 
 
 def summed(orders: Array, albedo: float) -> Array:

@@ -24,6 +24,7 @@ from analysis.transport.solve import choose, solve
 from labrig.costs import Costs, Run, Witness, with_front
 from labrig.errors import LabrigError
 from labrig.models.scene import Scene
+from labrig.scene.filled import refuse_layer
 from labrig.truth import Truth, find_truth
 
 TOLERANCES = (1e-2, 1e-3, 1e-4)
@@ -81,6 +82,7 @@ def cost_of_accuracy(scene: Scene, *, orders: int, progress: Followed) -> Costs:
     if orders < 3:
         msg = f"orders = {orders}: the cost of accuracy is told from three orders on."
         raise LabrigError(msg)
+    refuse_layer(scene, "the cost of accuracy")
     task = _Task(
         medium=scene.medium.record(),
         tank=scene.tank.record(),

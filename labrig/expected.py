@@ -23,6 +23,7 @@ from labrig.models.plan import Plan, StripesPattern
 from labrig.models.rig import Rig
 from labrig.models.scene import Scene
 from labrig.plan import bracket_of
+from labrig.scene.filled import refuse_layer
 
 Array = NDArray[np.float64]
 
@@ -40,6 +41,7 @@ def expect(scene: Scene, rig: Rig, plan: Plan) -> Observed:
     PlanError
         If the rig's scale is unknown, or the plan has no stripes.
     """
+    refuse_layer(scene, "the expected accuracy of a capture")
     pixel_mm = rig.geometry.mm_per_px
     if pixel_mm is None:
         msg = f"rig {rig.name!r}: geometry.mm_per_px is needed to tell what it would see."
@@ -64,7 +66,6 @@ def expect(scene: Scene, rig: Rig, plan: Plan) -> Observed:
                 depth_mm=tank.depth_mm,
                 wavenumber_per_mm=float(w),
                 angle_deg=beam.angle_deg,
-                n_theta=64 if abs(medium.g) < 0.7 else 128,
             )
             for w in q
         ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +11,6 @@ from numpy.typing import NDArray
 
 from analysis.errors import AnalysisError
 from analysis.medium import Beam, Medium, Phase, Tank
-from analysis.phase_function import alike
 from analysis.spectrum import (
     Bins,
     StripeWave,
@@ -131,6 +131,14 @@ class Seen:
 
         Without a medium the contrast is up to half a percent wrong; None where it is not known.
         """
+        if medium is None:
+            return self.contrasts_by(None)
+        return self.contrasts_by(lambda q, x_mm: self._answer(medium, q, x_mm))
+
+    def contrasts_by(
+        self, answer: Callable[[float, Array], Array] | None
+    ) -> list[tuple[float | None, float]]:
+        """Return the same, corrected by what any model makes of a wave, A(q, x)."""
         found = []
         for stripe, series, third in zip(
             self.observed.stripes, self.series, self.thirds, strict=True
@@ -144,7 +152,7 @@ class Seen:
                     self.bins,
                     duty=series.duty,
                     near_mm=self.near_mm,
-                    answer=None if medium is None else lambda q, x: self._answer(medium, q, x),
+                    answer=answer,
                 )
             of_white = series.high - series.low
             c1 = None if told.contrast is None else told.contrast * of_white
@@ -313,19 +321,10 @@ def walls_of(tank: Tank, beam: Beam, observed: Observed) -> SideWalls:
 
 
 def _other(observed: Observed, fit: StripeAware, guess_per_mm: float) -> StripeAware | None:
-    """Fit the phase function that was not asked for; None where no such medium scatters alike."""
-    near = alike(fit.medium, "hg-paper" if fit.medium.phase == "hg-plane" else "hg-plane")
-    if near is None:
-        return None
-    loss = fit.losses
+    """Fit the phase function that was not asked for; None where no such medium explains it."""
+    phase: Phase = "hg-paper" if fit.medium.phase == "hg-plane" else "hg-plane"
     try:
-        return fit_stripe_aware(
-            observed,
-            sigma_t_per_mm=guess_per_mm,
-            phase=near.phase,
-            side_walls=lambda _: loss,
-            near=near,
-        )
+        return fit_stripe_aware(observed, sigma_t_per_mm=guess_per_mm, phase=phase, near=fit)
     except AnalysisError:
         return None
 

@@ -19,6 +19,8 @@ from labrig.rectify import rectify
 from labrig.remainder import remainder
 from labrig.results import Result, results_of, write_results, written
 from labrig.session import Session
+from labrig.slab_picture import as_layer
+from labrig.slab_step import fit_layer
 from labrig.steps import attenuate, explain, render_bounces, separate
 
 Until = Literal["separation", "results"]
@@ -70,7 +72,7 @@ def analyse(
     parent = out or results_of(session_path)
     setup = parse(session.header.get("setup"), Setup, source=f"{session_path}: setup")
     setup, known = shone(setup, gather(session, setup, config))
-    decay = joint = explained = left = None
+    decay = joint = layer = explained = left = None
 
     watch.start("linearise")
     radiances = linearise(session, setup, known)
@@ -83,11 +85,13 @@ def analyse(
         decay = attenuate(separated, pictures, setup, config)
         watch.start("stripes")
         joint = fit_joint(pictures, setup, config, decay)
+        layer = fit_layer(pictures, setup, decay, joint)
         watch.start("bounces")
         table = render_bounces(decay, pictures, config)
         watch.start("invert")
         explained = explain(separated, decay, table, pictures, joint.medium)
         left = remainder(pictures, setup, decay, joint, explained.grid)
+        explained, left = as_layer(layer, explained, left, decay, config)
     watch.start("write")
     outcome = Outcome(
         session=session,
@@ -98,6 +102,7 @@ def analyse(
         separated=separated,
         decay=decay,
         joint=joint,
+        layer=layer,
         explained=explained,
         remainder=left,
         seconds=watch.seconds,

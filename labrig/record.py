@@ -24,6 +24,15 @@ from labrig.models.setup import Setup
 from labrig.rectify import Pictures
 from labrig.remainder import Remainder
 from labrig.session import Session
+from labrig.slab_record import (
+    METHOD,
+    MODEL,
+    PLANE,
+    UNCERTAINTY,
+    layer_parameters,
+    layer_quality,
+)
+from labrig.slab_step import Layer
 from labrig.steps import POOR_FIT, Decay, Explained, Separated
 
 Array = NDArray[np.float64]
@@ -41,6 +50,7 @@ class Outcome:
     separated: Separated
     decay: Decay | None
     joint: Joint | None
+    layer: Layer | None
     explained: Explained | None
     remainder: Remainder | None
     seconds: Mapping[str, float]
@@ -55,6 +65,10 @@ def run_of(outcome: Outcome) -> dict[str, Any]:
     if outcome.decay is not None and outcome.explained is not None:
         unit = outcome.pictures.unit
         joint = outcome.joint.notes if outcome.joint is not None else ()
+        if outcome.layer is not None:
+            notes += outcome.layer.notes
+            if outcome.layer.fit is not None:
+                joint = tuple(f"Of the plane beside it: {note}" for note in joint)
         notes += [*outcome.decay.notes, *joint, *outcome.explained.notes]
         alternatives = _alternatives(outcome.decay, outcome.joint, outcome.explained, unit)
         fit = outcome.joint.fit if outcome.joint is not None else None
@@ -63,6 +77,10 @@ def run_of(outcome: Outcome) -> dict[str, Any]:
         )
         if outcome.joint is not None and outcome.joint.g_unknown:
             parameters["g"] = {"value": None, "std": None, "assumed": parameters["g"]["value"]}
+        if outcome.layer is not None and outcome.layer.fit is not None:
+            if fit is not None:
+                alternatives = {"flatland": {**parameters, "meaning": PLANE}, **alternatives}
+            parameters = layer_parameters(outcome.layer.fit, outcome.layer, outcome.decay, unit)
     return {
         "session": {
             "id": header.get("id", outcome.session.path.name),
@@ -74,7 +92,9 @@ def run_of(outcome: Outcome) -> dict[str, Any]:
         },
         **parameters,
         **_truth(header),
-        "uncertainty": "std is statistical: camera noise carried through the fits. model_std is "
+        "uncertainty": UNCERTAINTY
+        if _is_layer(outcome)
+        else "std is statistical: camera noise carried through the fits. model_std is "
         "what an error of 0.1 percent of the model at every depth, and of 6 percent of the "
         "side walls' losses, would add. Neither holds the "
         "bias of Eqs. 9 and 10 (alternatives), whose single scattering still holds low orders.",
@@ -100,16 +120,23 @@ def _model(outcome: Outcome) -> dict[str, Any]:
     separation = {"separation": outcome.separated.best.method}
     if outcome.explained is None:
         return {"method": separation}
+    plane = {"geometry": "flatland", "phase": outcome.config.phase, "meaning": PLANE}
     return {
-        "model": {"geometry": "flatland", "phase": outcome.config.phase},
+        "model": MODEL if _is_layer(outcome) else plane,
         "method": {
             **separation,
-            "parameters": "stripes and white light together, all bounces (stripe-aware)"
+            "parameters": METHOD
+            if _is_layer(outcome)
+            else "stripes and white light together, all bounces (stripe-aware)"
             if outcome.joint is not None and outcome.joint.fit is not None
             else "Eqs. 9 and 10 on separated light",
             "separated": "Eq. 9, weighted least squares; Eq. 10, least squares on the nodes",
         },
     }
+
+
+def _is_layer(outcome: Outcome) -> bool:
+    return outcome.layer is not None and outcome.layer.fit is not None
 
 
 def _joint_parameters(fit: StripeAware, decay: Decay, unit: str) -> dict[str, Any]:
@@ -194,8 +221,12 @@ def _quality(outcome: Outcome) -> dict[str, Any]:
             found["attenuation_unseparated"] = _fit_quality(other)
         if outcome.joint is not None and outcome.joint.fit is not None:
             found["stripe_aware"] = _joint_quality(outcome.joint.fit)
+        of_layer = outcome.layer
+        if of_layer is not None and of_layer.fit is not None:
+            plane = found.get("stripe_aware", {})
+            found["slab"] = layer_quality(of_layer, of_layer.fit, plane)
         if outcome.remainder is not None:
-            found["stripe_aware"]["picture"] = {
+            found["slab" if "slab" in found else "stripe_aware"]["picture"] = {
                 "rms_relative": outcome.remainder.rms_relative,
                 "chi2": outcome.remainder.chi2,
             }

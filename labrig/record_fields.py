@@ -15,6 +15,8 @@ from labrig.joint_step import Joint
 from labrig.record import Outcome, bright, closure_of, scale_c_of
 from labrig.remainder import Remainder
 from labrig.results import Field
+from labrig.slab_picture import scale_c_of as slab_scale_c_of
+from labrig.slab_record import layer_fields
 from labrig.steps import Decay, Explained
 
 
@@ -32,18 +34,23 @@ def fields_of(outcome: Outcome) -> tuple[dict[str, Field], dict[str, Any]]:
         **_profiles(outcome.decay, outcome.pictures.unit),
         **_waves(outcome.joint, outcome.pictures.unit),
         **_bounces(outcome, outcome.explained),
+        **layer_fields(outcome.layer, outcome.explained, outcome.pictures.unit),
     }
+    layer, decay = outcome.layer, outcome.decay
+    slab = None if layer is None or layer.fit is None else layer
     return fields, {
         "length_unit": outcome.pictures.unit,
-        "scale_c": outcome.decay.attenuation.scale_c
+        "scale_c": slab_scale_c_of(slab, decay)
+        if slab is not None
+        else outcome.decay.attenuation.scale_c
         if outcome.joint is None or outcome.joint.fit is None
         else scale_c_of(outcome.joint.fit, outcome.decay),
         "scale_c_unit": "counts/s; turns fluence into camera units",
         "beam_angle_rad": math.radians(outcome.decay.beam.angle_deg),
         "beam_from": outcome.decay.beam.from_mm,
         "beam_to": outcome.decay.beam.to_mm,
-        "geometry": "flatland",
-        "phase": outcome.config.phase,
+        "geometry": "flatland" if slab is None else "slab",
+        "phase": outcome.config.phase if slab is None else "hg on the sphere",
     }
 
 

@@ -111,7 +111,7 @@ def fit_series(results: Sequence[Result], known: Concentrations) -> DilutionSeri
     if len(methods) > 1:
         notes.append("The sessions' parameters were found by different methods: see run.json.")
     return DilutionSeries(
-        sessions=tuple(_name(r) for r in ordered),
+        sessions=tuple(session_name(r) for r in ordered),
         concentration=x,
         concentration_unit=known.unit,
         lines=lines,
@@ -179,8 +179,8 @@ def _concentration(result: Result, known: Concentrations) -> float:
         if name in known.concentration:
             return known.concentration[name]
     msg = (
-        f"session {_name(result)} has no concentration; name it by its folder, its id or, if "
-        f"simulated, its scene ({', '.join(_names(result))})."
+        f"session {session_name(result)} has no concentration; name it by its folder, its id or, "
+        f"if simulated, its scene ({', '.join(_names(result))})."
     )
     raise AnalysisRefusedError(msg)
 
@@ -192,5 +192,6 @@ def _names(result: Result) -> list[str]:
     return list(dict.fromkeys(name for name in names if name))
 
 
-def _name(result: Result) -> str:
+def session_name(result: Result) -> str:
+    """Return what a result's session is called."""
     return _names(result)[0] if _names(result) else result.path.name

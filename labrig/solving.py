@@ -18,6 +18,8 @@ from labrig.errors import RunError
 from labrig.models.scene import Scene
 from labrig.record_fields import bounce_fields
 from labrig.results import write_fields
+from labrig.scene.filled import refuse_layer
+from labrig.solving_layer import layer_bounces
 
 STEP = 10.0  # between the tolerances that an explanation compares
 MEMINFO = Path("/proc/meminfo")
@@ -51,11 +53,15 @@ def solve_scene(
 ) -> Solved:
     """Return every bounce of a scene to a tolerance; see `analysis.transport.solve.solve`.
 
+    Where the liquid's height is given it is a slab's, see `analysis.slab_field`.
+
     Raises
     ------
     analysis.errors.AnalysisError
         If no answer exists, or it would not fit in the memory at hand.
     """
+    if scene.tank.height_mm is not None:
+        return solve_layer(scene, orders=orders, tolerance=tolerance, engine=engine)
     medium, tank, beam = records(scene)
     _rate_s()  # loads the kernels, so that the time is that of the solver alone
     wall, cpu = time.perf_counter(), time.process_time()
@@ -77,6 +83,23 @@ def solve_scene(
     )
 
 
+def solve_layer(scene: Scene, *, orders: int | None, tolerance: float, engine: Engine) -> Solved:
+    """Return what the camera sees of every bounce of a layer.
+
+    Raises
+    ------
+    PlanError
+        If another engine is asked for than the slab's own.
+    """
+    wall, cpu = time.perf_counter(), time.process_time()
+    field = layer_bounces(scene, orders=orders, tolerance=tolerance, engine=engine)
+    return Solved(
+        field=field,
+        seconds=time.perf_counter() - wall,
+        cpu_seconds=time.process_time() - cpu,
+    )
+
+
 def explain(
     scene: Scene, *, orders: int | None = None, tolerance: float = 1e-3, engine: Engine = "auto"
 ) -> list[Cost]:
@@ -89,6 +112,7 @@ def explain(
     analysis.errors.AnalysisError
         If no answer exists.
     """
+    refuse_layer(scene, "an estimate of the cost")
     medium, tank, beam = records(scene)
     rate_s = _rate_s()
     asked = [tolerance * STEP, tolerance, tolerance / STEP]

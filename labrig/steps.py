@@ -83,7 +83,8 @@ class Explained:
     """The bounces of the medium found.
 
     ``inversion`` is the medium that the paper's way finds (Eqs. 9, 10), ``bounces`` are of the
-    one taken for the truth.
+    one taken for the truth. ``layer_fluence`` is (K, n_y, n_x), the mean over the height of a
+    layer's light, which its camera sees only a part of; None in a plane.
     """
 
     inversion: Inversion
@@ -91,6 +92,7 @@ class Explained:
     grid: Grid
     bounces: BounceField
     notes: tuple[str, ...]
+    layer_fluence: Array | None = None
 
 
 def separate(
@@ -333,7 +335,13 @@ def explain(
         inversion=found,
         multiple=multiple,
         grid=grid,
-        bounces=solve_on(known or medium, decay.beam, _resolving(grid, known), n_bounces=n_bounces),
+        bounces=solve_on(
+            known or medium,
+            decay.beam,
+            _resolving(grid, known),
+            n_bounces=n_bounces,
+            dtype=np.float32,  # as they are written
+        ),
         notes=tuple(notes) if known is None else (),
     )
 

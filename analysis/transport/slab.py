@@ -19,7 +19,13 @@ from analysis.phase_function import Array, phase_function
 from analysis.transport.blas import BLAS
 from analysis.transport.fresnel import mean_reflectance
 from analysis.transport.plane import node_steps
-from analysis.transport.slab_grid import Height, Scattering, SlabGrid, camera_weights
+from analysis.transport.slab_grid import (
+    Height,
+    Scattering,
+    SlabGrid,
+    bearings_of,
+    camera_weights,
+)
 from analysis.transport.slab_kernels import climb_and_fall
 from analysis.transport.slab_second import second_order
 
@@ -37,6 +43,9 @@ class SlabField:
     escape : (K, n_x), flux out through surface and floor, over the height, 1/mm
     ends : (K, 2), flux out through the lit face and the far wall, mean over the height, without the
         beam itself
+    bearing : (K, n_x, n_b) complex, mean over the height of the radiance per radian of its bearing
+        in the plane, atan2(mu_y, mu_x), whatever its elevation: its sum over all bearings is the
+        fluence. Zero for the beam, which is a delta; n_b is zero where none was asked for
     """
 
     x_mm: Array
@@ -45,6 +54,7 @@ class SlabField:
     fluence: Array
     escape: Array
     ends: Array
+    bearing: ComplexArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,6 +84,7 @@ def solve_slab(
     n_bounces: int,
     wavenumber_per_mm: float = 0.0,
     least: float = 0.0,
+    n_bearings: int = 0,
 ) -> SlabField:
     """Return bounces 1 .. n_bounces of light that enters as exp(i q y) along +x.
 
@@ -85,6 +96,7 @@ def solve_slab(
     Parameters
     ----------
     least : bounces end early once the last one holds less than this share of all, everywhere
+    n_bearings : of the angular distribution, at `light_field.equal_angles`
 
     Raises
     ------
@@ -93,11 +105,17 @@ def solve_slab(
     """
     _refuse(medium, slab, grid, n_bounces)
     with BLAS.limit(limits=1):
-        return _march(medium, slab, grid, n_bounces, wavenumber_per_mm, least)
+        return _march(medium, slab, grid, n_bounces, wavenumber_per_mm, least, n_bearings)
 
 
 def _march(
-    medium: Medium, slab: Slab, grid: SlabGrid, n_bounces: int, wavenumber: float, least: float
+    medium: Medium,
+    slab: Slab,
+    grid: SlabGrid,
+    n_bounces: int,
+    wavenumber: float,
+    least: float,
+    n_bearings: int,
 ) -> SlabField:
     """Go from order to order: transport, then scattering and the camera's part of it."""
     sigma_t = medium.sigma_t_per_mm
@@ -111,6 +129,8 @@ def _march(
     )
     camera, fluence = [np.ones(grid.x_mm.size), second], [np.ones(grid.x_mm.size)]
     escape, ends = [np.zeros(grid.x_mm.size)], [np.zeros(2)]
+    to_bearings = bearings_of(grid, n_bearings)
+    bearing = [np.zeros((grid.x_mm.size, n_bearings), dtype=np.complex128)]
     source = _first_source(medium, grid, striped=wavenumber != 0.0)
     watched = np.zeros((grid.n_z, grid.x_mm.size))
     watched[0] = across
@@ -120,6 +140,7 @@ def _march(
         fluence.append(_fluence(light.even, grid))
         escape.append(_escape(light.even, grid) / slab.height_mm)
         ends.append(_ends(light.even, grid))
+        bearing.append(_bearing(light, to_bearings))
         source, to_camera = _scatter(light, scattering, sigma_t)
         to_camera += scattering.share_ahead * watched
         watched = upward @ to_camera
@@ -134,6 +155,7 @@ def _march(
         fluence=np.array(fluence),
         escape=np.array(escape),
         ends=np.array(ends),
+        bearing=np.array(bearing),
     )
 
 
@@ -217,6 +239,19 @@ def _fluence(even: Array, grid: SlabGrid) -> Array:
     """Return the integral over all directions of the mean over the height, (n_x,)."""
     per_phi = 2.0 * np.pi / grid.n_phi
     return np.asarray(per_phi * (grid.weight @ even[:, :, 0].sum(axis=0)))
+
+
+def _bearing(light: _Light, to_bearings: Array) -> ComplexArray:
+    """Return the mean over the height of the radiance by bearing, (n_x, n_b)."""
+    n_b = to_bearings.shape[0]
+    plus = to_bearings.reshape(n_b, to_bearings.shape[1] * to_bearings.shape[2])
+    minus = plus[::-1]  # of mu_y < 0, whose radiance is the conjugate
+    flat = (plus.shape[1], light.even.shape[3])
+    found = np.zeros((n_b, flat[1]), dtype=np.complex128)
+    found.real = (plus + minus) @ light.even[:, :, 0].reshape(flat)
+    if light.odd.size:
+        found.imag = (plus - minus) @ light.odd[:, :, 0].reshape(flat)
+    return found.T
 
 
 def _escape(even: Array, grid: SlabGrid) -> Array:

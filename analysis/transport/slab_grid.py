@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from analysis.errors import AnalysisError
 from analysis.phase_function import Array
 
+FINE_BEARINGS = 384  # polar angles, and twice the azimuths, that are sorted by bearing
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlabGrid:
@@ -91,6 +93,34 @@ def polar_angles(n_forward: int, n_backward: int, crowding: float) -> tuple[Arra
     behind = 0.5 * math.pi * (1.0 + 0.5 * (node + 1.0))
     theta = np.concatenate([ahead, behind])
     return theta, np.concatenate([by_ahead, 0.25 * math.pi * weight]) * np.sin(theta)
+
+
+def bearings_of(grid: SlabGrid, n_bearings: int) -> Array:
+    """Return what each direction with mu_y > 0 gives to each bearing, per radian of bearing.
+
+    Radiance is taken to be linear between the polar angles and between the azimuths; no light is
+    made or lost.
+
+    Returns
+    -------
+    (n_bearings, n_phi, n_theta)
+    """
+    shape = (n_bearings, grid.n_phi, grid.theta_rad.size)
+    if n_bearings == 0:
+        return np.zeros(shape)
+    theta = np.pi * (np.arange(FINE_BEARINGS) + 0.5) / FINE_BEARINGS
+    phi = np.pi * (np.arange(FINE_BEARINGS // 2) + 0.5) / (FINE_BEARINGS // 2)
+    by_theta = np.array([np.interp(theta, grid.theta_rad, row) for row in np.eye(shape[2])])
+    by_phi = np.array([np.interp(phi, grid.phi_rad, row) for row in np.eye(shape[1])])
+    at = np.arctan2(np.sin(theta) * np.sin(phi)[:, None], np.cos(theta))
+    place = np.floor(at / (2.0 * np.pi) * n_bearings).astype(np.int64)
+    area = np.broadcast_to(np.sin(theta), place.shape)
+    found = np.zeros(shape)
+    for n in np.unique(place):
+        found[n] = by_phi @ np.where(place == n, area, 0.0) @ by_theta.T
+    whole = 2.0 * np.pi / grid.n_phi * grid.weight  # both halves of y together
+    found *= 0.5 * whole / found.sum(axis=0)
+    return found * n_bearings / (2.0 * np.pi)
 
 
 def graded_depths(depth_mm: float, n_x: int, *, finest_mm: float, coarsest_mm: float) -> Array:

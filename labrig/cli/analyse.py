@@ -47,6 +47,10 @@ def analyse(
     if closure is not None and closure["mean"] is not None:
         table.add_row("closure, mean", f"{100 * closure['mean']:+.2f} %")
     out_console.print(table)
+    plane = result.run["alternatives"].get("flatland")
+    if plane is not None:
+        beside = (f"{name} {plane[name]['value']:.5g}" for name in plane if name[0] in "sg")
+        say(f"a plane instead of the layer would say {', '.join(beside)}")
     for note in result.run["notes"]:
         say(f"note: {note}")
     say(f"results  {result.path}")
@@ -54,11 +58,12 @@ def analyse(
 
 def report(
     session: Annotated[Path, typer.Argument(help="Session or results folder.")],
+    beside: Annotated[Path | None, typer.Option(help="A second one, to show side by side.")] = None,
     out: Out = None,
     as_json: AsJson = False,
 ) -> None:
     """Write figures and a self-contained HTML page of a session's newest results."""
-    page = labrig.report(session, out)
+    page = labrig.report(session, out, beside=beside)
     if as_json:
         say_json({"report": str(page)})
     else:

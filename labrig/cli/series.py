@@ -11,6 +11,8 @@ from rich.table import Table
 
 import labrig
 from labrig.cli.say import AsJson, out_console, say, say_json
+from labrig.errors import AnalysisRefusedError
+from labrig.fillings import Fillings, compare_fillings, write_fillings
 from labrig.results import read_results
 from labrig.series import Line, fit_series, write_csv
 
@@ -18,13 +20,26 @@ from labrig.series import Line, fit_series, write_csv
 def series(
     sessions: Annotated[list[Path], typer.Argument(help="Session or results folders.")],
     concentration: Annotated[
-        Path, typer.Option(help="File with the concentration of every session.")
-    ],
+        Path | None, typer.Option(help="File with the concentration of every session.")
+    ] = None,
+    heights: Annotated[
+        bool, typer.Option("--heights", help="One liquid filled to different heights.")
+    ] = False,
+    height_std_mm: Annotated[
+        float, typer.Option(help="How well the heights are known, mm.")
+    ] = 0.05,
     out: Annotated[Path, typer.Option("--out", help="Folder to write to.")] = Path("series"),
     as_json: AsJson = False,
 ) -> None:
-    """Fit sigma_t, sigma_s and g of several sessions against their concentration."""
-    found = fit_series([read_results(path) for path in sessions], labrig.load_series(concentration))
+    """Fit sigma_t, sigma_s and g of several sessions against concentration, or compare heights."""
+    if heights == (concentration is not None):
+        msg = "give either --concentration FILE, for dilutions, or --heights, for fillings."
+        raise AnalysisRefusedError(msg)
+    results = [read_results(path) for path in sessions]
+    if concentration is None:
+        _say_fillings(compare_fillings(results, height_std_mm=height_std_mm), out, as_json)
+        return
+    found = fit_series(results, labrig.load_series(concentration))
     out.mkdir(parents=True, exist_ok=True)
     table = out / "series.csv"
     write_csv(found, table)
@@ -83,3 +98,58 @@ def _told(line: Line) -> dict[str, object]:
         **finite,
         "straight": line.straight,
     }
+
+
+def _say_fillings(found: Fillings, out: Path, as_json: bool) -> None:
+    """Draw, write and print what fillings to different heights say."""
+    out.mkdir(parents=True, exist_ok=True)
+    table = out / "heights.csv"
+    write_fillings(found, table)
+    from labrig.figures import save  # noqa: PLC0415 - matplotlib takes a second to load
+    from labrig.figures_slab import fillings_figure  # noqa: PLC0415
+
+    save(fillings_figure(found), out / "heights")
+    if as_json:
+        say_json(
+            {
+                "sessions": list(found.sessions),
+                "height_mm": found.height_mm.tolist(),
+                "height_std_mm": found.height_std_mm,
+                "parameters": {
+                    one.name: {
+                        "layer": one.layer.tolist(),
+                        "layer_std": one.layer_std.tolist(),
+                        "plane": [v if math.isfinite(v) else None for v in one.plane],
+                        "mean": one.mean,
+                        "p_same": one.p_same,
+                        "plane_ratio": one.plane_ratio if math.isfinite(one.plane_ratio) else None,
+                    }
+                    for one in found.found
+                },
+                "notes": list(found.notes),
+                "csv": str(table),
+                "figure": str(out / "heights.png"),
+            }
+        )
+        return
+    shown = Table(title=f"one liquid at different heights, known to {found.height_std_mm:g} mm")
+    shown.add_column("parameter")
+    for height in found.height_mm:
+        shown.add_column(f"layer of {height:g} mm", justify="right")
+    for height in found.height_mm:
+        shown.add_column(f"plane, {height:g} mm", justify="right")
+    for heading in ("P(same)", "plane's ratio"):
+        shown.add_column(heading, justify="right")
+    for one in found.found:
+        shown.add_row(
+            one.name,
+            *(f"{v:.4g} ± {s:.1g}" for v, s in zip(one.layer, one.layer_std, strict=True)),
+            *(f"{v:.4g}" if math.isfinite(v) else "—" for v in one.plane),
+            f"{one.p_same:.2g}",
+            f"{one.plane_ratio:.2f}" if math.isfinite(one.plane_ratio) else "—",
+        )
+    out_console.print(shown)
+    for note in found.notes:
+        say(f"note: {note}")
+    say(f"table   {table}")
+    say(f"figure  {out / 'heights.png'}")

@@ -18,7 +18,7 @@ from labrig.models.devices import (
     UsbTriggerConfig,
     V4l2CameraConfig,
 )
-from labrig.models.setup import CameraConfig, GeometryConfig, ProjectionConfig
+from labrig.models.setup import CameraConfig, GeometryConfig, LayerConfig, ProjectionConfig
 
 
 class SimulatedCameraConfig(CameraConfig):
@@ -138,5 +138,8 @@ class Rig(Model):
     projector: ProjectorEntry
     geometry: GeometryConfig
     projection: ProjectionConfig
+    tank: LayerConfig | None = Field(
+        None, description="how high the liquid stands, for scenes that do not say it"
+    )
     trigger: TriggerConfig = SoftwareTriggerConfig(driver="software")
     simulation: SimulationConfig = SimulationConfig()

@@ -92,6 +92,12 @@ class Scene(Model):
             )
             raise ValueError(msg)
         self.beam_inside().record().entering(self.tank.record())
+        if self.tank.height_mm is not None and self.medium.phase != "hg-plane":
+            msg = (
+                f"medium.phase = {self.medium.phase} reads Eq. 2 in a plane; in a layer of known "
+                "height it holds as it stands, on the sphere: leave phase out"
+            )
+            raise ValueError(msg)
         return self
 
     @property

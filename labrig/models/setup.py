@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Literal
 
 from pydantic import Field, model_validator
 
-from analysis.medium import Beam, Tank
+from analysis.medium import Beam, Slab, Tank
 from calibration.model import CameraModel
 from calibration.record import Conditions
 from calibration.response import LINEAR, srgb_response
@@ -58,15 +59,53 @@ class GeometryConfig(Model):
         return self
 
 
+WATER = 1.33  # refractive index
+
+
+class LayerConfig(Model):
+    """How high the liquid stands, and what its surface does."""
+
+    height_mm: float = Field(description="from the floor to the surface")
+    surface_index: float = Field(
+        WATER, description="of the liquid against what is above; 1 for a surface without reflection"
+    )
+
+    @model_validator(mode="after")
+    def _is_a_layer(self) -> LayerConfig:
+        Slab(depth_mm=1.0, height_mm=self.height_mm, surface_index=self.surface_index)
+        return self
+
+
 class TankConfig(Model):
-    """Depth from the lit face and width along it."""
+    """Depth from the lit face, width along it, and the height of the liquid where it is known."""
 
     depth_mm: Positive
     width_mm: Positive
+    height_mm: float | None = Field(
+        None, description="of the liquid; without it light is taken to live in a plane"
+    )
+    surface_index: float | None = Field(
+        None, description=f"of the liquid against what is above; {WATER} if left out"
+    )
+
+    @model_validator(mode="after")
+    def _is_filled(self) -> TankConfig:
+        if self.height_mm is None and self.surface_index is not None:
+            msg = "surface_index says nothing without height_mm; give the liquid's height too"
+            raise ValueError(msg)
+        self.slab()
+        return self
 
     def record(self) -> Tank:
         """Return the analysis' record of this tank."""
         return Tank(depth_mm=self.depth_mm, width_mm=self.width_mm)
+
+    def slab(self) -> Slab | None:
+        """Return the analysis' record of the layer of liquid; None where its height is unknown."""
+        if self.height_mm is None:
+            return None
+        index = WATER if self.surface_index is None else self.surface_index
+        return Slab(depth_mm=self.depth_mm, height_mm=self.height_mm, surface_index=index)
 
 
 class BeamConfig(Model):
@@ -157,3 +196,49 @@ class Setup(Model):
     projection: ProjectionConfig | None = Field(None, description="where it is calibrated")
     projector: ProjectorSizeConfig | None = Field(None, description="needed by Grey codes")
     conditions: ConditionsConfig | None = Field(None, description="what calibrations depend on")
+
+    @model_validator(mode="after")
+    def _is_seen(self) -> Setup:
+        if self.projection is not None:
+            period_px = () if self.stripes is None else (self.stripes.period_px,)
+            refuse_unseen(self.tank, self.beam, self.projection, self.geometry, period_px)
+        return self
+
+
+def refuse_unseen(
+    tank: TankConfig | None,
+    beam: BeamConfig | None,
+    projection: ProjectionConfig,
+    geometry: GeometryConfig,
+    periods_px: Iterable[float],
+) -> None:
+    """Refuse stripes that the camera cannot tell apart, and layers that no model is made for.
+
+    Raises
+    ------
+    ValueError
+        With one line that says what to do.
+    """
+    for period_px in periods_px:
+        period_mm = period_px * projection.mm_per_px
+        if geometry.mm_per_px is not None and period_mm < 2.0 * geometry.mm_per_px:
+            msg = (
+                f"the stripes' period of {period_mm:.3g} mm is shorter than two camera pixels of "
+                f"{geometry.mm_per_px:.3g} mm; show coarser stripes, or look from nearer"
+            )
+            raise ValueError(msg)
+    if tank is None or tank.height_mm is None:
+        return
+    blur_mm = projection.blur_px * projection.mm_per_px
+    if tank.height_mm <= blur_mm:
+        msg = (
+            f"tank.height_mm = {tank.height_mm:g} is thinner than the stripes' blur of "
+            f"{blur_mm:.3g} mm; mend the height or projection.blur_px"
+        )
+        raise ValueError(msg)
+    if beam is not None and beam.angle_deg:
+        msg = (
+            f"beam.angle_deg = {beam.angle_deg:g}: light enters a layer of known height straight; "
+            "turn the projector, or leave tank.height_mm out"
+        )
+        raise ValueError(msg)

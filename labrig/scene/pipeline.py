@@ -14,6 +14,7 @@ from labrig.models.rig import Rig, SimulatedCameraConfig
 from labrig.models.scene import Scene
 from labrig.scene.answer import Answer
 from labrig.scene.decide import Decision, decide, situation_of
+from labrig.scene.filled import layered
 from labrig.scene.parts import Parts
 from labrig.scene.picture import Picture
 
@@ -58,6 +59,7 @@ def see(
     labrig.errors.LabrigError, analysis.errors.AnalysisError
         If scene, rig and plan do not fit one another, or the light has no end.
     """
+    scene = layered(scene, rig, plan)
     about = situation_of(scene, rig, plan)
     decisions = tuple(decide(about, force))
     parts = assemble(scene, rig, decisions)

@@ -24,6 +24,7 @@ from analysis.phase_function import power_removed
 from analysis.transport.montecarlo import SampledField, Walls, simulate
 from labrig.models.scene import Scene
 from labrig.scene.answer import Answer
+from labrig.scene.layer import sample_layer
 from labrig.scene.stripes import FIRST
 
 VERSION = 1  # of the kept files; raise it when the Monte Carlo changes its answer
@@ -38,9 +39,13 @@ class TankResponse:
     """
 
     field: SampledField
-    n_bounces: int
     seconds: float
     from_cache: bool
+
+    @property
+    def n_bounces(self) -> int:
+        """Number of the last bounce."""
+        return int(self.field.fluence.shape[0]) + 1
 
 
 def bounces_needed(albedo: float, tail: float) -> int:
@@ -131,29 +136,35 @@ def tank_response(
     n_bounces = bounces_of(scene)
     kept = cache_folder() / f"response-{_key(scene, period_mm, harmonics, walls)}.npz"
     if kept.is_file() and not anew:
-        found = _read(kept, n_bounces)
+        found = _read(kept)
         if found is not None:
             return found
     n_paths = scene.transport.n_paths
     if harmonics != FIRST:
         n_paths = max(n_paths // HIGHER_SHARE, 1000)
     begun_s = time.process_time()
-    sampled = simulate(
-        scene.medium.record(),
-        scene.tank.record(),
-        scene.beam.record(),
-        n_bounces=n_bounces,
-        n_paths=n_paths,
-        cell_mm=scene.transport.cell_mm,
-        seed=scene.transport.seed,
-        stripe_wavenumber_per_mm=2.0 * math.pi / period_mm,
-        harmonics=harmonics,
-        walls=walls,
-        n_threads=os.cpu_count() or 1,
-        progress=progress,
-    )
+    slab, wavenumber = scene.tank.slab(), 2.0 * math.pi / period_mm
+    if slab is not None:
+        sampled = sample_layer(
+            scene, slab, n_bounces, n_paths, (wavenumber, harmonics), progress=progress
+        )
+    else:
+        sampled = simulate(
+            scene.medium.record(),
+            scene.tank.record(),
+            scene.beam.record(),
+            n_bounces=n_bounces,
+            n_paths=n_paths,
+            cell_mm=scene.transport.cell_mm,
+            seed=scene.transport.seed,
+            stripe_wavenumber_per_mm=wavenumber,
+            harmonics=harmonics,
+            walls=walls,
+            n_threads=os.cpu_count() or 1,
+            progress=progress,
+        )
     seconds = time.process_time() - begun_s
-    response = TankResponse(field=sampled, n_bounces=n_bounces, seconds=seconds, from_cache=False)
+    response = TankResponse(field=sampled, seconds=seconds, from_cache=False)
     _write(kept, response)
     return response
 
@@ -163,7 +174,7 @@ def _key(scene: Scene, period_mm: float, harmonics: tuple[int, ...], walls: Wall
     question: dict[str, object] = {
         "version": VERSION,
         "medium": scene.medium.model_dump(),
-        "tank": scene.tank.model_dump(),
+        "tank": scene.tank.model_dump(exclude_none=True),
         "beam": scene.beam.model_dump(),
         "transport": {**scene.transport.model_dump(), "tail": scene.tail},
         "period_mm": period_mm,
@@ -181,7 +192,7 @@ def cache_folder() -> Path:
     return base / "labrig"
 
 
-def _read(path: Path, n_bounces: int) -> TankResponse | None:
+def _read(path: Path) -> TankResponse | None:
     """Return what was kept, None if the file is damaged: it is only a cache."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
@@ -189,7 +200,7 @@ def _read(path: Path, n_bounces: int) -> TankResponse | None:
             seconds = float(kept["seconds"])
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
-    return TankResponse(field=field, n_bounces=n_bounces, seconds=seconds, from_cache=True)
+    return TankResponse(field=field, seconds=seconds, from_cache=True)
 
 
 def _write(path: Path, response: TankResponse) -> None:

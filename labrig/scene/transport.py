@@ -62,6 +62,8 @@ def _solved(
     anew: bool = False,
 ) -> Answer:
     folded = parts.face_index != 1.0 or parts.wall_reflectance != 0.0
+    if parts.scene.tank.height_mm is not None:
+        _refuse_in_layer(parts, folded=folded)
     if parts.scene.transport.method == "ordinates":
         if folded or parts.defocus_px_per_mm:
             msg = (
@@ -84,6 +86,22 @@ def _solved(
             growth=parts.defocus_px_per_mm * mm_per_px,
         )
     return answer_by_montecarlo(parts.scene, harmonics, walls, progress, anew=anew)
+
+
+def _refuse_in_layer(parts: Parts, *, folded: bool) -> None:
+    method, what = parts.scene.transport.method, ""
+    if method != "montecarlo":
+        what = f"transport: {{method: {method}}}"
+    elif folded:
+        what = "walls that give light back"
+    elif parts.defocus_px_per_mm:
+        what = "a blur that grows with depth"
+    if what:
+        msg = (
+            f"{what}: not followed in a layer of known height, only by the plain Monte Carlo; "
+            "leave it out, or leave tank.height_mm out."
+        )
+        raise PlanError(msg)
 
 
 def _higher(parts: Parts, answer: Answer, period_mm: float, tolerance: float) -> tuple[int, ...]:

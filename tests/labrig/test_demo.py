@@ -57,7 +57,8 @@ def test_the_session_is_whole_and_the_result_says_where_it_comes_from(found):
     assert labrig.verify(found.session) == []
     run = labrig.read_results(found.session).run
     assert run["session"]["simulated"] is True
-    assert run["model"] == {"geometry": "flatland", "phase": "hg-plane"}
+    assert (run["model"]["geometry"], run["model"]["phase"]) == ("flatland", "hg-plane")
+    assert run["model"]["meaning"].startswith("effective parameters of a plane")
     assert "statistical" in run["uncertainty"]
     assert len(run["provenance"]["code_sha256"]) == 64
     # the light's own Monte Carlo noise exceeds the camera's, and is said to

@@ -114,7 +114,8 @@ def test_analyse_prints_json(
         assert run[name]["value"] == pytest.approx(truth, abs=atol)
         assert 0.0 < run[name]["std"] < 0.01
     assert run["scale_c"]["value"] > 100.0 * run["scale_c"]["std"] > 0.0
-    assert run["model"] == {"geometry": "flatland", "phase": "hg-plane"}
+    assert (run["model"]["geometry"], run["model"]["phase"]) == ("flatland", "hg-plane")
+    assert run["model"]["meaning"].startswith("effective parameters of a plane")
     assert run["quality"]["saturated_fraction"] == 0.0
     assert abs(run["quality"]["closure"]["mean"]) < 1e-3  # measured 6e-5
     assert set(run["seconds"]) >= {"linearise", "rectify", "separate", "attenuate", "invert"}

@@ -1,0 +1,338 @@
+"""The search for the medium of a slab: a coarse table first, then finer solutions where it leads.
+
+A table of few nodes finds the neighbourhood. There its orders are moved to what a better solution
+says they are, with their derivatives by sigma_t and g, which few nodes do not tell well enough: at
+g = 0.9 sigma_t and sigma_s are so alike that without them the search does not settle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import least_squares
+
+from analysis.errors import AnalysisError
+from analysis.medium import Slab
+from analysis.phase_function import Array
+from analysis.slab_profiles import FEWEST, Problem, SlabProfiles
+from analysis.slab_table import Range, SlabTable, camera_orders
+from analysis.transport.slab_grid import SlabGrid
+from analysis.transport.slab_resolution import depths, directions
+
+Choice = tuple[Range, Range, float, tuple[int, int]]
+Orders = Callable[[float, float], list[Array]]
+Contrasts = Callable[[float, float, float], tuple[Array, Array]]
+
+TABLES: tuple[Choice, ...] = (  # range of g, of sigma_t over the decay, fineness, nodes
+    ((-0.4, 0.6), (0.9, 1.35), 0.55, (3, 4)),
+    ((0.5, 0.82), (0.9, 1.5), 0.55, (4, 4)),
+    ((0.75, 0.96), (1.0, 2.1), 0.6, (4, 4)),
+)
+MEDIUM = 0.75  # fineness at which derivatives are taken
+FINE, FINER = 1.2, 0.5  # of the last solutions: at g = 0, and how much more where g is one
+COARSE_TAIL = 1e-3
+APPROACHES, CORRECTIONS = 6, 4
+STEPS = (0.01, 0.01)  # of the derivatives: relative in sigma_t, and in g
+ROOM = (0.15, 0.08)  # within which the moved orders are believed: likewise
+NEAR = 1.0  # standard deviations or percents, within which derivatives need not be taken again
+CONVINCING = 2.0  # chi^2 per degree of freedom below which no other start is tried
+SETTLED = 0.1  # of a standard deviation or of half a percent, if that is more
+MOST_SEEN = 7.0  # mean free paths beyond the last bin that are still solved for
+ALBEDO = (1e-3, 1.0)
+AT_END = 0.02  # of a range of g: then the next one is tried
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """A minimum, and what led to it.
+
+    Attributes
+    ----------
+    at : sigma_t, albedo, g
+    shift : by how much the last correction moved it
+    sure : whether it lies inside its ranges, and corrections have settled
+    """
+
+    at: Array
+    orders: Orders
+    problem: Problem
+    table: SlabTable
+    shift: Array
+    sure: bool
+    n_solved: int
+
+
+def search(profiles: SlabProfiles, slab: Slab, contrasts: Contrasts | None) -> Found:
+    """Find the medium with a coarse table, then with better solutions around what it says."""
+    at, problem, table, n_solved = _first(profiles, slab)
+    n_q, sure = table.wavenumbers_per_mm.size, False
+    grids = _Grids.of(table, at, MEDIUM)
+    for _ in range(APPROACHES):
+        local = _Local.of(table, at, grids)
+        n_solved += 3 * n_q
+        if contrasts is not None:
+            problem = problem.with_ratio(*contrasts(at[0], at[0] * at[1], at[2]))
+        before = at
+        at, sure = minimise(problem, local.orders, local.bounds(), at)
+        if _moved(problem, local.orders, at, before, NEAR):
+            break
+        if abs(at[2] - grids.g) > 0.5 * ROOM[1]:
+            grids = _Grids.of(table, at, MEDIUM)
+    fine = _Grids.of(table, at, FINE + FINER * at[2] ** 8)
+    settled = False
+    for _ in range(CORRECTIONS):
+        local = local.moved_to(table, at, fine)
+        n_solved += n_q
+        if contrasts is not None:
+            problem = problem.with_ratio(*contrasts(at[0], at[0] * at[1], at[2]))
+        before = at
+        at, sure = minimise(problem, local.orders, local.bounds(), at)
+        settled = _moved(problem, local.orders, at, before, SETTLED)
+        if settled:
+            break
+    return Found(
+        at=at,
+        orders=local.orders,
+        problem=problem,
+        table=table,
+        shift=at - before,
+        sure=sure and settled,
+        n_solved=n_solved,
+    )
+
+
+def search_table(profiles: SlabProfiles, table: SlabTable, contrasts: Contrasts | None) -> Found:
+    """Find the medium by a table alone."""
+    problem = Problem.of(profiles, table.x_mm)
+    bounds = _bounds_of(table)
+    at, sure = minimise(problem, table.orders, bounds, None)
+    if contrasts is not None:
+        problem = problem.with_ratio(*contrasts(at[0], at[0] * at[1], at[2]))
+        at, sure = minimise(problem, table.orders, bounds, at)
+    return Found(
+        at=at,
+        orders=table.orders,
+        problem=problem,
+        table=table,
+        shift=np.zeros(3),
+        sure=sure,
+        n_solved=0,
+    )
+
+
+def _first(profiles: SlabProfiles, slab: Slab) -> tuple[Array, Problem, SlabTable, int]:
+    """Return what a coarse table says, of the range of g that holds it."""
+    n_solved = 0
+    for choice in TABLES:
+        table = _first_table(profiles, slab, choice)
+        n_solved += table.wavenumbers_per_mm.size * choice[3][0] * choice[3][1]
+        problem = Problem.of(profiles, table.x_mm)
+        at, _ = minimise(problem, table.orders, _bounds_of(table), None)
+        if at[2] < table.g[1] - AT_END:
+            break
+    return at, problem, table, n_solved
+
+
+def _moved(problem: Problem, orders: Orders, at: Array, before: Array, share: float) -> bool:
+    """Return whether two places are the same but for a share of what is known of them."""
+    std = np.linalg.norm(gain(problem, orders, at)[:3], axis=1)
+    return bool(np.all(np.abs(at - before) < share * np.maximum(std, 0.005 * np.abs(at))))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Grids:
+    """Grids that do not change with the medium, so that solutions differ by the medium alone."""
+
+    g: float
+    of_q: tuple[SlabGrid, ...]
+
+    @classmethod
+    def of(cls, table: SlabTable, at: Array, fineness: float) -> _Grids:
+        x_mm, g = depths(float(at[0]), table.slab, fineness=fineness), float(at[2])
+        return cls(
+            g=g,
+            of_q=tuple(
+                directions(g, table.slab, x_mm, wavenumber_per_mm=float(q), fineness=fineness)
+                for q in table.wavenumbers_per_mm
+            ),
+        )
+
+    def orders(self, table: SlabTable, sigma_t: float, g: float) -> list[Array]:
+        """Return the orders at the table's depths."""
+        found = []
+        kept = zip(table.wavenumbers_per_mm, self.of_q, table.coefficients, strict=True)
+        for q, grid, coefficients in kept:
+            n = coefficients.shape[2]
+            fine = camera_orders(sigma_t, g, table.slab, grid, float(q), n)
+            found.append(CubicSpline(grid.x_mm, fine, axis=1)(table.x_mm))
+        return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Local:
+    """A table's orders, moved to what solutions say of them and their derivatives at a place.
+
+    Attributes
+    ----------
+    at : sigma_t, g
+    moves : of each wave number (3, K, n_x): the orders, their derivatives by sigma_t and by g
+    """
+
+    table: SlabTable
+    at: tuple[float, float]
+    moves: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, table: SlabTable, where: Array, grids: _Grids) -> _Local:
+        sigma_t, g = float(where[0]), float(where[2])
+        step_t, step_g = STEPS[0] * sigma_t, -STEPS[1]
+        places = ((sigma_t, g), (sigma_t + step_t, g), (sigma_t, g + step_g))
+        off = []
+        for place in places:
+            solved, kept = grids.orders(table, *place), table.orders(*place)
+            off.append([one - other for one, other in zip(solved, kept, strict=True)])
+        moves = tuple(
+            np.array([here, (by_t - here) / step_t, (by_g - here) / step_g])
+            for here, by_t, by_g in zip(*off, strict=True)
+        )
+        return cls(table=table, at=(sigma_t, g), moves=moves)
+
+    def moved_to(self, table: SlabTable, where: Array, grids: _Grids) -> _Local:
+        """Return the orders moved to better solutions at another place, derivatives kept."""
+        sigma_t, g = float(where[0]), float(where[2])
+        solved, kept = grids.orders(table, sigma_t, g), table.orders(sigma_t, g)
+        moves = tuple(
+            np.concatenate([(one - other)[None], move[1:]])
+            for one, other, move in zip(solved, kept, self.moves, strict=True)
+        )
+        return replace(self, at=(sigma_t, g), moves=moves)
+
+    def orders(self, sigma_t_per_mm: float, g: float) -> list[Array]:
+        """Return the orders near the place, one array (K, n_x) for each wave number."""
+        d_t, d_g = sigma_t_per_mm - self.at[0], g - self.at[1]
+        there = self.table.orders(sigma_t_per_mm, g)
+        return [
+            one + move[0] + d_t * move[1] + d_g * move[2]
+            for one, move in zip(there, self.moves, strict=True)
+        ]
+
+    def bounds(self) -> Array:
+        """Return where the moved orders are believed, (2, 3)."""
+        sigma_t, g = self.at
+        room = np.array([[-1.0], [1.0]]) * np.array([ROOM[0] * sigma_t, 1.0, ROOM[1]])
+        bounds = _bounds_of(self.table)
+        near = np.array([sigma_t, 0.5, g]) + room
+        low, high = np.maximum(bounds[0], near[0]), np.minimum(bounds[1], near[1])
+        return np.array([low, high])
+
+
+def _bounds_of(table: SlabTable) -> Array:
+    low, high = table.sigma_t_per_mm
+    return np.array([[low, ALBEDO[0], table.g[0]], [high, ALBEDO[1], table.g[1]]])
+
+
+def _first_table(profiles: SlabProfiles, slab: Slab, choice: Choice) -> SlabTable:
+    """Return a coarse table around the decay of the first profile, no deeper than is needed."""
+    g, share, fineness, n_nodes = choice
+    q, values, variance = profiles.stacked()
+    sigma_t = _decay(profiles.depth_mm, values[0], variance[0])
+    seen = float(profiles.depth_mm[np.isfinite(values).any(axis=0)].max() + profiles.bin_mm)
+    deep = min(slab.depth_mm, seen + min(MOST_SEEN / sigma_t, 4.0 * slab.height_mm))
+    solved = replace(slab, depth_mm=max(deep, seen))
+    return SlabTable.build(
+        solved,
+        q,
+        depths(sigma_t, solved, fineness=fineness),
+        sigma_t_per_mm=(share[0] * sigma_t, share[1] * sigma_t),
+        g=g,
+        n_nodes=n_nodes,
+        fineness=fineness,
+        tail=COARSE_TAIL,
+    )
+
+
+def _decay(depth_mm: Array, values: Array, variance: Array) -> float:
+    """Return the rate at which a profile falls, 1/mm: Eq. 9, with whatever else is in it."""
+    with np.errstate(invalid="ignore"):
+        clear = np.isfinite(values) & (values > 5.0 * np.sqrt(variance))
+    if clear.sum() < FEWEST:
+        msg = "the profile stands above its noise at too few depths; expose longer, or bin wider."
+        raise AnalysisError(msg)
+    weight = values[clear] / np.sqrt(variance[clear])
+    slope = float(np.polyfit(depth_mm[clear], np.log(values[clear]), 1, w=weight)[0])
+    if not slope < 0.0:
+        msg = "the light does not fall with depth; is the lit side named rightly?"
+        raise AnalysisError(msg)
+    return -slope
+
+
+def minimise(
+    problem: Problem, orders: Orders, bounds: Array, at: Array | None
+) -> tuple[Array, bool]:
+    """Return (sigma_t, albedo, g) within bounds (2, 3), and whether it lies inside them."""
+
+    def residual(p: Array) -> Array:
+        scales, model = problem.scaled(problem.profiles(orders(p[0], p[2]), p[0], p[1]))
+        return problem.pulls(model, scales)
+
+    span = bounds[1] - bounds[0]
+    starts = [bounds[0] + span * np.array([0.2, 0.7, s]) for s in (0.8, 0.3)]
+    tried: list[tuple[float, Array, bool]] = []
+    for start in starts if at is None else [at]:
+        found = least_squares(
+            residual,
+            np.clip(start, bounds[0] + 1e-6, bounds[1] - 1e-6),
+            bounds=bounds,
+            x_scale=[0.1 * bounds[0, 0], 0.1, 0.1],
+            xtol=1e-8,
+            ftol=1e-8,
+        )
+        inside = not np.any(found.active_mask)
+        tried.append((2.0 * float(found.cost), np.asarray(found.x), inside))
+        if tried[-1][0] < CONVINCING * problem.degrees_of_freedom:
+            break
+    _, best, inside = min(tried, key=lambda one: one[0])
+    return best, inside
+
+
+def gain(problem: Problem, orders: Orders, at: Array) -> Array:
+    """Return what errors of data and contrasts do to (sigma_t, albedo, g, scale of white light).
+
+    The scales are fitted along; errors are in units of their std, so that the rows' products are
+    the covariance: (4, n_data + n_q).
+    """
+
+    def model(p: Array) -> Array:
+        return problem.profiles(orders(p[0], p[2]), p[0], p[1])
+
+    here = model(at)
+    scales, _ = problem.scaled(here)
+    n_q = problem.ratio.size
+    nothing = np.zeros(n_q)
+    columns = []
+
+    def told(change: Array, of_contrast: Array) -> Array:
+        return np.concatenate([(change / problem.std)[problem.use], of_contrast])
+
+    for i, step in enumerate((1e-3 * at[0], 1e-4, 1e-3)):
+        ahead, behind = at.copy(), at.copy()
+        ahead[i] += step
+        behind[i] -= step
+        change = scales[: len(here), None] * (model(ahead) - model(behind)) / (2.0 * step)
+        columns.append(told(change, nothing))
+    off = scales[:-1] / (scales[-1] * problem.ratio * problem.ratio_std)
+    for i, shape in enumerate(here):
+        change = np.zeros_like(here)
+        change[i] = shape
+        of_contrast = np.where(np.arange(n_q) == i, off, 0.0) / scales[i]
+        columns.append(told(change, of_contrast if i < n_q else -off / scales[-1]))
+    if len(here) == n_q:
+        columns.append(told(np.zeros_like(here), -off / scales[-1]))
+    jacobian = np.array(columns)
+    size = np.linalg.norm(jacobian, axis=1)  # scales are as large as the light is bright
+    size[size == 0.0] = 1.0
+    found = np.linalg.pinv((jacobian / size[:, None]).T, rcond=1e-10) / size[:, None]
+    return np.asarray(found)[[0, 1, 2, 3 + n_q]]
