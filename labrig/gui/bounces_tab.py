@@ -98,6 +98,10 @@ class BouncesTab(ResultTab):
         for scale, step in ((self.sigma_s, 0.01), (self.tolerance, -0.25)):
             for key, sign in (("Left", -1), ("Right", +1)):
                 scale.bind(f"<{key}>", self._stepping(scale, step * sign))
+        self._choices()
+
+    def _choices(self) -> None:
+        ui, px = self.ui, self.ui.px
         top = ttk.Frame(self.figure, style="Card.TFrame")
         top.pack(fill="x", pady=(0, px(4)))
         ttk.Label(top, text="pictures from bounce", style="CardDim.TLabel").pack(side="left")

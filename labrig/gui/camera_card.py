@@ -105,14 +105,17 @@ class CameraCard(Card):
             style,
             "x y width height of what is read; empty: everything. R draws it with the mouse",
         )
+        self._gain_why = ""
+        self._automatic(style, auto)
+
+    def _automatic(self, style: Style, auto: Callable[[], None]) -> None:
         row = ttk.Frame(self.body, style="Card.TFrame")
-        row.pack(fill="x", pady=(px(3), 0))
+        row.pack(fill="x", pady=(style.px(3), 0))
         self.auto = ttk.Button(row, text="Auto expose  A", style="Tool.TButton", command=auto)
         self.auto.pack(side="left")
         self.continuous = tk.BooleanVar(self, value=False)
         self.always = ttk.Checkbutton(row, text="continuous", variable=self.continuous)
         self.always.pack(side="right")
-        self._gain_why = ""
 
     def connected(self, rig: Connected | None) -> None:
         """Enable what the camera has; say why where it has not."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from labrig.gui.app import App
 
+Key = tuple[str, str, str, Callable[[], object]]  # as it is called, Tk's name, what it does
 TYPED = ("TEntry", "TSpinbox", "TCombobox")
 
 
@@ -19,9 +20,13 @@ class Keys:
     def __init__(self, app: App) -> None:
         self._app = app
         self._window: tk.Toplevel | None = None
-        live = app.live
-        flip = self._flip
-        self.anywhere: list[tuple[str, str, str, Callable[[], object]]] = [
+        self.anywhere = self._anywhere()
+        self.letters = self._letters()
+        self._bind()
+
+    def _anywhere(self) -> list[Key]:
+        app = self._app
+        return [
             ("F1", "F1", "this list", self.help),
             ("F5", "F5", "capture the plan into a new session", lambda: app.devices.capture()),
             ("Esc", "Escape", "abort what runs; else close the banner", self._escape),
@@ -48,7 +53,10 @@ class Keys:
             ("Ctrl + − 0", "", "larger, smaller, usual text", lambda: None),
             ("Ctrl Q", "Control-q", "close the window", app.close),
         ]
-        self.letters: list[tuple[str, str, str, Callable[[], object]]] = [
+
+    def _letters(self) -> list[Key]:
+        app, live, flip = self._app, self._app.live, self._flip
+        return [
             (
                 "Space",
                 "space",
@@ -77,7 +85,6 @@ class Keys:
             ("arrows", "", "in a picture: read the next pixel; Shift ten, Ctrl pans", lambda: None),
             ("+  −", "", "in a picture: zoom at the read pixel", lambda: None),
         ]
-        self._bind()
 
     def _bind(self) -> None:
         root, app = self._app.root, self._app

@@ -93,65 +93,40 @@ class LiveTab(ttk.Frame):
         ui, px = self.ui, self.ui.px
         bar = ttk.Frame(self, style="Card.TFrame")
         bar.pack(fill="x", pady=(0, px(4)))
-        self.map = tk.StringVar(self, value="cividis")
-        box = ttk.Combobox(
-            bar,
-            textvariable=self.map,
-            values=["cividis", "grey"],
-            state="readonly",
-            width=6,
-            font=ui.font(),
-        )
-        box.pack(side="right")
-        box.bind("<<ComboboxSelected>>", lambda _e: colours(self.map.get()))  # type: ignore[arg-type]
-        self.tools: dict[str, ttk.Widget] = {
-            "pause": toggle(
-                bar, ui, "❚❚", "Space", self.paused, self._pause, "Hold the live picture"
-            ),
-            "snap": tool(bar, ui, "Snap", "S", snap, "Keep this frame as a 16-bit TIFF"),
-            "fit": tool(bar, ui, "Fit", "0", lambda: self.pane.fit(), "The whole picture"),
-            "one": tool(
-                bar, ui, "1:1", "1", self.one, "A pixel of the camera on one of the screen"
-            ),
-            "zebra": toggle(
-                bar,
-                ui,
-                "Zebra",
-                "Z",
-                self.zebra,
-                self.refresh,
-                "Hatch pixels whose raw counts are at the white level",
-            ),
-            "root": toggle(
-                bar,
-                ui,
-                "√",
-                "V",
-                self.root_scale,
-                self.refresh,
-                "A square-root scale shows the weak light beside the beam; its ends stay fixed",
-            ),
-            "roi": toggle(
-                bar,
-                ui,
+        self._colour_box(bar, colours)
+
+        def press(text: str, key: str, act: Callable[[], None], tip: str) -> ttk.Widget:
+            return tool(bar, ui, text, key, act, tip)
+
+        def turn(
+            text: str, key: str, of: tk.BooleanVar, act: Callable[[], None], tip: str
+        ) -> ttk.Widget:
+            return toggle(bar, ui, text, key, of, act, tip)
+
+        clipped = "Hatch pixels whose raw counts are at the white level"
+        weak = "A square-root scale shows the weak light beside the beam; its ends stay fixed"
+        self.tools = {
+            "pause": turn("❚❚", "Space", self.paused, self._pause, "Hold the live picture"),
+            "snap": press("Snap", "S", snap, "Keep this frame as a 16-bit TIFF"),
+            "fit": press("Fit", "0", lambda: self.pane.fit(), "The whole picture"),
+            "one": press("1:1", "1", self.one, "A pixel of the camera on one of the screen"),
+            "zebra": turn("Zebra", "Z", self.zebra, self.refresh, clipped),
+            "root": turn("√", "V", self.root_scale, self.refresh, weak),
+            "roi": turn(
                 "ROI",
                 "R",
                 self.drawing_roi,
                 self._roi_toggled,
                 "Draw what histogram and focus look at",
             ),
-            "profile": toggle(
-                bar,
-                ui,
+            "profile": turn(
                 "Profile",
                 "P",
                 self.profile,
                 lambda: self._open("profile", self.profile),
                 "Light along the beam, before any capture",
             ),
-            "fit live": toggle(
-                bar,
-                ui,
+            "fit live": turn(
                 "Live fit",
                 "D",
                 self.decomposing,
@@ -161,6 +136,19 @@ class LiveTab(ttk.Frame):
         }
         for widget in self.tools.values():
             widget.pack(side="left", padx=(0, px(1)))
+
+    def _colour_box(self, bar: ttk.Frame, colours: Callable[[Map], None]) -> None:
+        self.map = tk.StringVar(self, value="cividis")
+        box = ttk.Combobox(
+            bar,
+            textvariable=self.map,
+            values=["cividis", "grey"],
+            state="readonly",
+            width=6,
+            font=self.ui.font(),
+        )
+        box.pack(side="right")
+        box.bind("<<ComboboxSelected>>", lambda _e: colours(self.map.get()))  # type: ignore[arg-type]
 
     def _readings(self) -> tuple[ttk.Label, ttk.Label]:
         px = self.ui.px

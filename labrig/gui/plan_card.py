@@ -43,8 +43,18 @@ class PatternCard(Card):
         self.canvas.pack(fill="x", pady=(0, px(4)))
         self._item = self.canvas.create_image(0, 0, anchor="nw")
         self._photo: ImageTk.PhotoImage | None = None
+        self._choice(show)
+        self._stripes()
+        self.bracket = NumberField(
+            self.body, style, label="Bracket", unit="ms", commit=self._bracket_typed
+        )
+        self.bracket.pack(fill="x", pady=px(1))
+        Tip(self.bracket.entry, style, "Exposures of every pattern; the shortest must clip nothing")
+
+    def _choice(self, show: Callable[[Show], None]) -> None:
+        style = self._style
         row = ttk.Frame(self.body, style="Card.TFrame")
-        row.pack(fill="x", pady=px(1))
+        row.pack(fill="x", pady=style.px(1))
         ttk.Label(row, text="Show", style="Card.TLabel", width=8).pack(side="left")
         self.chosen = tk.StringVar(self, value="stripes")
         self.box = ttk.Combobox(
@@ -63,6 +73,9 @@ class PatternCard(Card):
             "What the projector shows between captures; cycling stripes are "
             "separated and fitted live (D)",
         )
+
+    def _stripes(self) -> None:
+        style, px = self._style, self._style.px
         pair = ttk.Frame(self.body, style="Card.TFrame")
         pair.pack(fill="x", pady=px(1))
         self.period = NumberField(
@@ -90,11 +103,6 @@ class PatternCard(Card):
             "Lit and dark together, projector px; a simulated tank takes "
             "a while to answer another period",
         )
-        self.bracket = NumberField(
-            self.body, style, label="Bracket", unit="ms", commit=self._bracket_typed
-        )
-        self.bracket.pack(fill="x", pady=px(1))
-        Tip(self.bracket.entry, style, "Exposures of every pattern; the shortest must clip nothing")
 
     def planned(self, plan: Planned) -> None:
         """Show the plan as it holds."""

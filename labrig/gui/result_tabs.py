@@ -224,16 +224,20 @@ class AttenuationTab(ResultTab):
                 x_label="",
             )
         )
+        self._draw_misfit(rests, 1.3 * deepest, shown.unit)
+
+    def _draw_misfit(self, rests: list[Curve], reach: float, unit: str) -> None:
+        p = self.ui.palette
         zero = Curve(
-            x=np.array([0.0, 1.3 * deepest]), y=np.zeros(2), look=(p.dim, (4.0, 4.0), ""), width=1.0
+            x=np.array([0.0, reach]), y=np.zeros(2), look=(p.dim, (4.0, 4.0), ""), width=1.0
         )
         self.misfit.show(
             Chart(
                 curves=(zero, *rests),
-                x_range=(0.0, 1.3 * deepest),
+                x_range=(0.0, reach),
                 y_range=self._reach(rests),
                 y_label="measured less exponential, % of it",
-                x_label=f"depth along the beam ({shown.unit})",
+                x_label=f"depth along the beam ({unit})",
             )
         )
 

@@ -6,6 +6,7 @@ import tkinter as tk
 from dataclasses import dataclass
 from tkinter import font as tkfont
 from tkinter import ttk
+from typing import Any
 
 from labrig.gui.palette import DARK, PALETTES, Palette
 
@@ -52,9 +53,17 @@ class Style:
         self._set_fonts()
         style, p = ttk.Style(self.root), self.palette
         style.theme_use("clam")
-        self._set_plain(style)
-        self._set_fields(style)
-        self._set_rest(style)
+        for part in (
+            self._set_plain,
+            self._set_buttons,
+            self._set_button_states,
+            self._set_fields,
+            self._set_checks,
+            self._set_tabs,
+            self._set_lists,
+            self._set_bars,
+        ):
+            part(style)
         self.root.configure(background=p.ground)
         self.root.option_add("*TCombobox*Listbox.background", p.field)
         self.root.option_add("*TCombobox*Listbox.foreground", p.text)
@@ -85,7 +94,7 @@ class Style:
             self._fonts[name].configure(family=family, size=-px, weight=weight)  # type: ignore[arg-type]
 
     def _set_plain(self, style: ttk.Style) -> None:
-        p, px = self.palette, self.px
+        p = self.palette
         style.configure(
             ".",
             background=p.ground,
@@ -124,7 +133,12 @@ class Style:
         }
         for name, (ground, text, of) in looks.items():
             style.configure(name, background=ground, foreground=text, font=self.font(of))
-        button = {
+
+    @property
+    def _button(self) -> dict[str, Any]:
+        """What all buttons have in common."""
+        p, px = self.palette, self.px
+        return {
             "background": p.raised,
             "foreground": p.text,
             "bordercolor": p.line,
@@ -136,8 +150,12 @@ class Style:
             "width": 0,
             "relief": "flat",
         }
+
+    def _set_buttons(self, style: ttk.Style) -> None:
+        p, px, button = self.palette, self.px, self._button
         style.configure("TButton", **button)
         style.configure("Tool.TButton", **button | {"padding": (px(4), px(2))})
+        style.configure("Toggle.Toolbutton", **button | {"padding": (px(4), px(2))})
         style.configure("Bad.TButton", **button | {"foreground": p.bad})
         style.configure(
             "Step.TButton",
@@ -175,6 +193,9 @@ class Style:
                 "focuscolor": p.on_accent,
             },
         )
+
+    def _set_button_states(self, style: ttk.Style) -> None:
+        p = self.palette
         for name in ("TButton", "Tool.TButton", "Bad.TButton"):
             style.map(
                 name,
@@ -209,7 +230,6 @@ class Style:
             darkcolor=[("disabled", p.raised)],
         )
         on = [("selected", p.select)]
-        style.configure("Toggle.Toolbutton", **button | {"padding": (px(4), px(2))})
         style.map(
             "Toggle.Toolbutton",
             background=[*on, ("active", p.line)],
@@ -250,6 +270,9 @@ class Style:
                 selectbackground=[("focus", p.select), ("!focus", p.field)],
                 selectforeground=[("focus", p.on_select), ("!focus", p.text)],
             )
+
+    def _set_checks(self, style: ttk.Style) -> None:
+        p, px = self.palette, self.px
         style.configure(
             "TCheckbutton",
             background=p.card,
@@ -270,7 +293,7 @@ class Style:
             foreground=[("disabled", p.dim)],
         )
 
-    def _set_rest(self, style: ttk.Style) -> None:
+    def _set_tabs(self, style: ttk.Style) -> None:
         p, px = self.palette, self.px
         style.configure(
             "TNotebook",
@@ -301,6 +324,9 @@ class Style:
             expand=[("selected", (0, 0, 0, 0))],
             font=[("selected", self.font("bold"))],
         )
+
+    def _set_lists(self, style: ttk.Style) -> None:
+        p, px = self.palette, self.px
         style.configure(
             "Treeview",
             background=p.field,
@@ -330,6 +356,9 @@ class Style:
             padding=(px(4), px(3)),
         )
         style.map("Treeview.Heading", background=[("active", p.raised)])
+
+    def _set_bars(self, style: ttk.Style) -> None:
+        p, px = self.palette, self.px
         style.configure(
             "TProgressbar",
             background=p.accent,

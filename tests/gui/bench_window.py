@@ -12,10 +12,11 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from window import Display, Window
+from window import Display, Window, strike
 
 from labrig.gui.app import BEAT_MS
 
@@ -49,7 +50,10 @@ class Gates:
         kept = value >= gate if least else value <= gate
         self.missed += not kept
         sign = ">=" if least else "<="
-        print(f"{name:52s} {value:9.1f} {unit:4s} {sign} {gate:g}  {'kept' if kept else 'MISSED'}")
+        print(
+            f"{name:52s} {value:9.1f} {unit:4s} {sign} {gate:g}  {'kept' if kept else 'MISSED'}",
+            flush=True,
+        )
 
 
 class Watch:
@@ -63,21 +67,23 @@ class Watch:
     def begin(self) -> None:
         """Begin a stretch."""
         self.app.beats.clear()
-        self.shown = self.app.live.pane.n_pasted
         self.begun = time.monotonic()
         self.ages: list[float] = []
+        self.names: set[str] = set()
+        self.last = -1.0
 
     def note(self) -> None:
         """Note the age of what is shown."""
         picture = self.app.live.picture
-        if picture is not None and (not self.ages or picture.taken_s != self.last):
+        if picture is not None and picture.taken_s > max(self.last, self.begun):
             self.last = picture.taken_s
             self.ages.append(1e3 * (time.monotonic() - picture.taken_s))
+            self.names.add(picture.shows)
 
     @property
     def fps(self) -> float:
         """Pictures shown a second."""
-        return (self.app.live.pane.n_pasted - self.shown) / (time.monotonic() - self.begun)
+        return len(self.ages) / (time.monotonic() - self.begun)
 
     @property
     def late_ms(self) -> np.ndarray:
@@ -114,19 +120,63 @@ def first_window(gates: Gates, display: Display, folder: Path) -> None:
 
 
 def session(window: Window, gates: Gates, watch: Watch, number: int) -> None:
-    """Capture and analyse once, watched; the live picture of the run and after it."""
+    """Capture and analyse once, watched: what is shown, how late the beat is, the memory.
+
+    In a run the camera takes the plan's pictures and no others: each is shown. The live view is
+    back while the session is analysed.
+    """
     app = window.app
     app.show_tab(0)
     watch.begin()
     app.devices.capture()
-    window.pump(lambda: bool(watch.note()) or not app.devices.running, 300)
-    if not window.pump(lambda: bool(watch.note()) or app.outcomes.shown is not None, 300):
-        print(window.log)
+    in_time(window, lambda: bool(watch.note()) or not app.devices.running)
+    late = [watch.late_ms]
+    shots = {shot for _, ids in app.devices.plan.groups for shot in ids}
+    gates.hold(
+        f"A1 shown of a run's pictures, session {number}",
+        len(watch.names & shots) / len(shots),
+        1,
+        "",
+        least=True,
+    )
+    gates.hold("A1 age of a run's picture when shown", float(np.median(watch.ages)), 60, "ms")
+    watch.begin()
+    in_time(window, lambda: bool(watch.note()) or app.outcomes.shown is not None)
+    late.append(watch.late_ms)
+    gates.hold(f"A1 shown while session {number} is analysed", watch.fps, 15, "fps", least=True)
+    app.show_tab(2)
+    stretch(window, watch, 1.0)  # the first figure
+    late.append(watch.late_ms)
+    every = np.concatenate(late)
+    gates.hold("A2 lateness of the beat, p99", float(np.quantile(every, 0.99)), 100, "ms")
+    gates.hold("A2 lateness of the beat, largest", float(every.max()), 250, "ms")
+
+
+def in_time(window: Window, until: Callable[[], object]) -> None:
+    """Wait for something; without it there is nothing to measure."""
+    if not window.pump(until, 300):
+        print(*window.log, sep="\n")
         sys.exit(1)
-    gates.hold(f"A1 shown through session {number}", watch.fps, 15, "fps", least=True)
-    late = watch.late_ms
-    gates.hold("A2 lateness of the beat, p99", float(np.quantile(late, 0.99)), 100, "ms")
-    gates.hold("A2 lateness of the beat, largest", float(late.max()), 250, "ms")
+
+
+def aborted(window: Window, gates: Gates) -> None:
+    """A5: how soon Esc stops a run; A6: how soon a camera that is lost is said to be."""
+    app = window.app
+    app.show_tab(0)
+    window.key("F5")
+    in_time(window, lambda: app.devices.run and app.devices.run.saved > 5)
+    begun = time.monotonic()
+    window.key("Escape")
+    in_time(window, lambda: not app.devices.running)
+    longest_s = max(app.devices.plan.bracket_s) if app.devices.plan else 0.0
+    gates.hold("A5 abort", time.monotonic() - begun, 0.5 + longest_s, "s")
+    window.pump(lambda: app.live.picture is not None, 10.0)
+    strike(window, "camera-lost")
+    begun = time.monotonic()
+    in_time(window, lambda: app.banner.text)
+    gates.hold("A6 a lost camera is said", time.monotonic() - begun, 2.5, "s")
+    app.devices.retry()
+    in_time(window, lambda: not app.banner.text)
 
 
 def tabs(window: Window, gates: Gates) -> None:
@@ -136,14 +186,16 @@ def tabs(window: Window, gates: Gates) -> None:
     for number in (1, 2, 3, 4, 5):
         begun = time.monotonic()
         app.show_tab(number)
-        window.root.update()
+        window.events()
+        window.root.update_idletasks()
         times.append(1e3 * (time.monotonic() - begun))
     gates.hold("A15 slowest tab drawn for the first time", max(times), 1000, "ms")
     again = []
     for number in (1, 2, 3, 4, 5) * 2:
         begun = time.monotonic()
         app.show_tab(number)
-        window.root.update()
+        window.events()
+        window.root.update_idletasks()
         again.append(1e3 * (time.monotonic() - begun))
     gates.hold("A15 median switch of tabs", statistics.median(again), 100, "ms")
     app.show_tab(4)
@@ -152,7 +204,8 @@ def tabs(window: Window, gates: Gates) -> None:
     for k in range(40):
         begun = time.monotonic()
         pane.event_generate("<Motion>", x=40 + 8 * k, y=60 + 5 * k)
-        window.root.update()
+        window.events()
+        window.root.update_idletasks()
         hover.append(1e3 * (time.monotonic() - begun))
     gates.hold("A15 light field under the pointer, median", statistics.median(hover), 50, "ms")
     app.show_tab(3)
@@ -161,7 +214,8 @@ def tabs(window: Window, gates: Gates) -> None:
     for k in range(20):
         begun = time.monotonic()
         app.bounces.sigma_s.set(0.05 + 0.004 * k)
-        window.root.update()
+        window.events()
+        window.root.update_idletasks()
         slid.append(1e3 * (time.monotonic() - begun))
     gates.hold("slider of sigma_s, median (no gate: as A15)", statistics.median(slid), 100, "ms")
 
@@ -170,9 +224,8 @@ def live_fit(window: Window, gates: Gates) -> None:
     """The live decomposition: results a second, and the age of the oldest picture in one."""
     app = window.app
     app.show_tab(0)
-    app.devices.expose(0.0167, 0.0)
     app.live.tools["fit live"].invoke()
-    window.pump(lambda: app.live.drawer.live.count >= 3, 120)
+    in_time(window, lambda: app.live.drawer.live.count >= 3)
     panel, ages, begun = app.live.drawer.live, [], time.monotonic()
     first = count = panel.count
     while time.monotonic() - begun < 10.0:
@@ -226,7 +279,7 @@ def main() -> int:
         if not soaking:
             first_window(gates, display, folder)
         window = Window(display, folder, scale=1.0, size=(1440, 900), helper=not soaking)
-        window.connected(300)
+        window.connected()
         watch = Watch(window)
         if soaking:
             soak(window, gates, float(sys.argv[2]) if len(sys.argv) > 2 else 10.0)
@@ -245,6 +298,7 @@ def main() -> int:
             stretch(window, watch, 8.0)
             gates.hold("A1 shown, idle after three sessions", watch.fps, 20, "fps", least=True)
             live_fit(window, gates)
+            aborted(window, gates)
         window.close()
     display.stop()
     print("load average", *os.getloadavg())
