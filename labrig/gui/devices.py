@@ -227,7 +227,8 @@ class Devices:
             text=f"● {rig.projector.replace('labrig ', '')}", style="Ok.TLabel"
         )
         app.name.configure(text=rig.name)
-        app.about.configure(text="simulated" if rig.simulated else "")
+        about = ("simulated" if rig.simulated else "", app.settings.operator)
+        app.about.configure(text=" · ".join(word for word in about if word))
         app.capture.able("")
         app.say(
             "info",

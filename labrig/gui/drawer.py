@@ -128,7 +128,7 @@ class LiveFit(ttk.Frame):
             unit = "" if key == "g" else f" /{fitted.unit}"
             value.configure(text=f"{found[0]:.4f}" if key != "g" else f"{found[0]:.3f}")
             sure.configure(text=f"± {found[1]:.1g}{unit}")
-        self.why.configure(text=fitted.why or "± statistical; bias of the method: see the report")
+        self.why.configure(text=fitted.why or "± noise and model error, together")
         self._draw()
         self.tell_age()
 

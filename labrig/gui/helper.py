@@ -37,6 +37,7 @@ class Helper:
         ]
         self._then = {}
         self._next = 0
+        self._ended = False
         self._start()
 
     @property
@@ -58,7 +59,12 @@ class Helper:
         progress: Callable[[str], None] = lambda _stage: None,
         **options: Any,
     ) -> None:
-        """Let the helper do a job of `labrig.jobs`; the answer comes out of `poll`."""
+        """Let the helper do a job of `labrig.jobs`; the answer comes out of `poll`.
+
+        A process that has ended is replaced by a new one.
+        """
+        if self._ended:
+            self.restart()
         self._next += 1
         self._then[self._next] = (then, failed, progress)
         try:
@@ -76,6 +82,7 @@ class Helper:
             except queue.Empty:
                 return
             if answer.job < 0:  # the process has ended with jobs in hand
+                self._ended = True
                 lost, self._then = self._then, {}
                 for _, failed, _ in lost.values():
                     failed("the helper process ended in the middle of it; try again.")
@@ -105,6 +112,7 @@ class Helper:
         self._start()
 
     def _start(self) -> None:
+        self._ended = False
         context = mp.get_context("spawn")
         self._pipe, other = context.Pipe()
         self._process = context.Process(

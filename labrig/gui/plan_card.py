@@ -188,7 +188,7 @@ class CaptureCard(Card):
             self.expected.configure(text=f"expected σₜ ± {uncertainty:.1g} /mm")
             self.expected.pack(anchor="w", after=self.cost)
         parts = "\n".join(f"{n.replace('_', ' ')}: {s:.1f} s" for n, s in plan.seconds.items())
-        self._seconds = f"{parts}\nσₜ ± is what shot noise will leave, by the live fit (D)"
+        self._seconds = f"{parts}\nσₜ ± is what the plan will leave, by the live fit (D)"
         refused = [v for v in plan.verdicts if v.word == "refused"]
         noted = [v for v in plan.verdicts if v.word == "note"]
         self._verdicts = "\n".join(f"{v.word}: {v.text}" for v in plan.verdicts)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import tkinter as tk
+from dataclasses import replace
 from pathlib import Path
 
 from labrig.cli.exits import EXIT_BAD_INPUT
@@ -23,6 +24,7 @@ def start(
     scene: Path | None = None,
     plan: Path | None = None,
     out: Path | None = None,
+    operator: str | None = None,
     scale: int | None = None,
 ) -> int:
     """Open the window and stay until it is closed; return the exit code.
@@ -37,6 +39,8 @@ def start(
     folder = config_folder()
     file = kept.settings_file()
     found, said = kept.load(file)
+    if operator is not None:
+        found = replace(found, operator=operator)
 
     def place(given: Path | None, before: str, usual: Path) -> Path:
         if given is not None and not given.is_file():

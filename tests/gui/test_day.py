@@ -16,6 +16,7 @@ from window import Window
 
 import labrig
 from labrig.gui.field_tab import FAINT
+from labrig.session import Session
 
 
 def choose(window: Window, row: int) -> Path:
@@ -34,7 +35,7 @@ def choose(window: Window, row: int) -> Path:
 
 def test_a_whole_day_by_keys_alone(open_window: Open):
     """A4: connect, expose, capture, analyse, look at every tab, export; the files are there."""
-    window = open_window(helper=True)
+    window = open_window(helper=True, operator="Ada")
     app = window.app
     window.key("Key-a", app.live.pane)
     assert window.pump(lambda: window.said("brightest pixels stand")), window.log
@@ -42,6 +43,9 @@ def test_a_whole_day_by_keys_alone(open_window: Open):
     assert window.pump(lambda: app.rail.states[1] == "done")
     window.key("F5")
     assert window.pump(lambda: app.day.session_whole), window.log
+    (session,) = app.places.out.glob("20*/*")
+    assert Session.open(session).header["operator"] == "Ada"
+    assert "Ada" in app.about.cget("text")
     window.key("Key-space", app.live.pane)  # held: what follows has the processor
     assert window.pump(lambda: app.outcomes.shown is not None), window.log
     for number in range(1, 7):

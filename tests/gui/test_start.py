@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
-from window import ROOT, Display, die_with_parent
+from window import LONG_S, ROOT, Display, die_with_parent
 
 from labrig.gui import settings as kept
+from labrig.gui.helper import Helper
 from labrig.gui.settings import Settings
 
 YESTERDAY = """
@@ -126,6 +129,30 @@ def test_tkinter_has_two_doors():
     }
     outside = {path for path in found if not path.startswith("labrig/gui/")}
     assert outside == {"drivers/projector/screen.py"}
+
+
+def test_a_helper_that_was_killed_is_replaced():
+    """What it was doing is said to be lost; the next thing that is asked is done."""
+    helper, said = Helper("killed"), []
+
+    def wait(words: str) -> None:
+        end = time.monotonic() + LONG_S
+        while not any(words in word for word in said) and time.monotonic() < end:
+            helper.poll()
+            time.sleep(0.01)
+        assert any(words in word for word in said)
+
+    try:
+        helper.ask(
+            "listed", Path("nowhere"), then=lambda _: said.append("done"), failed=said.append
+        )
+        os.kill(helper.pid, signal.SIGKILL)
+        wait("ended in the middle")
+        assert not helper.busy
+        helper.ask("listed", Path("nowhere"), then=lambda found: said.append(f"listed {found}"))
+        wait("listed []")
+    finally:
+        helper.stop()
 
 
 def test_no_kernel_holds_the_interpreter():
