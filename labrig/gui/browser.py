@@ -57,6 +57,7 @@ class Browser(Card):
         row = ttk.Frame(self.body, style="Card.TFrame")
         row.pack(side="bottom", fill="x", pady=(px(4), 0))
         self.resume = ttk.Button(row, text="Resume", style="Tool.TButton", command=resume)
+        self.resume.state(["disabled"])  # until a partial session is chosen
         self.resume.pack(side="left")
         Tip(self.resume, style, "Ctrl+R: take what a partial session lacks")
         self.compare = ttk.Button(row, text="Compare", style="Tool.TButton", command=compare)

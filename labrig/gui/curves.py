@@ -250,7 +250,7 @@ def _mark(
     """Draw one marker: a polygon with as many corners as its letter asks for."""
     corners, turn = {
         "o": (24, 0.0),
-        "s": (4, 0.25),
+        "s": (4, 0.5),
         "^": (3, -0.25 * 4 / 3),
         "D": (4, 0.0),
         "v": (3, 0.25 * 4 / 3),

@@ -192,7 +192,7 @@ class Devices:
         if not trouble.text:
             self._app.banner.hide()
             return
-        text = f"{trouble.text} {trouble.safe}".strip()
+        text = f"{trouble.text[:1].upper()}{trouble.text[1:]} {trouble.safe}".strip()
         self._app.banner.show(text, [("Retry", self.retry)] if trouble.retry else [])
         self._app.say("error", trouble.text)
 
@@ -249,6 +249,7 @@ class Devices:
 
     def _planned(self, plan: Planned) -> None:
         app = self._app
+        told = {v.text for v in self.plan.verdicts} if self.plan else set()
         self.plan = plan
         app.pattern.planned(plan)
         app.capture.planned(plan, self.metering.uncertainty)
@@ -257,7 +258,7 @@ class Devices:
             style="Ok.TLabel" if plan.free_bytes > 4 * plan.n_bytes else "Bad.TLabel",
         )
         for verdict in plan.verdicts:
-            if verdict.word != "ok":
+            if verdict.word != "ok" and verdict.text not in told:
                 app.say("error" if verdict.word == "refused" else "warn", verdict.text)
 
     def _begin_run(self) -> None:
@@ -362,7 +363,8 @@ class Devices:
                     f"{sum(plan.seconds.values()):.0f} s"
                 )
             )
-            app.status.show(ready or "connecting", None, running=False)
+            lost = "no rig is connected" if app.live.why_empty != "connecting" else "connecting"
+            app.status.show(ready or lost, None, running=False)
 
     def remembered(self) -> dict[str, Any]:
         """Return what the settings keep of exposure and plan."""

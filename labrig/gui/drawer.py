@@ -112,7 +112,7 @@ class LiveFit(ttk.Frame):
             justify="left",
         )
         self.why.grid(row=5, column=0, columnspan=3, sticky="w")
-        self.plot = PlotPane(self, style, height=150)
+        self.plot = PlotPane(self, style, height=164)
         self.plot.pack(side="left", fill="both", expand=True)
 
     def show(self, fitted: Fitted) -> None:
@@ -178,7 +178,7 @@ class LiveFit(ttk.Frame):
                     y=fitted.single,
                     look=(p.text, (), "o"),
                     points=True,
-                    name="single, measured",
+                    name="measured",
                 )
             )
         top = float(fitted.bounces.max()) if fitted.bounces.size else 0.0
@@ -191,7 +191,7 @@ class LiveFit(ttk.Frame):
                 x_label=f"depth along the beam ({fitted.unit})",
                 y_label="light (counts/s)",
                 log=True,
-                y_range=(2e-3 * top, 2.0 * top) if top > 0.0 else None,
+                y_range=(2e-3 * top, 8.0 * top) if top > 0.0 else None,
                 x_range=(0.0, deepest) if deepest else None,
             )
         )

@@ -172,12 +172,14 @@ class LiveTab(ttk.Frame):
         else:
             self.picture = None
             self.pane.show(None)
+            self.rates = Rates()
+            self._read()
         self._explain()
 
     def take(self, box: Newest[Picture], *, visible: bool) -> Picture | None:
         """Take the newest picture, if there is one, and show it; return it."""
         picture = box.take()
-        if picture is None:
+        if picture is None or self.rig is None:  # one may come after the rig was lost
             return None
         self.picture = picture
         if visible:
@@ -200,6 +202,9 @@ class LiveTab(ttk.Frame):
 
     def say_rates(self, dropped: int) -> None:
         """Write how fast it goes, and how old what is shown is."""
+        if self.rig is None:
+            self.readings[1].configure(text="no camera")
+            return
         camera, shown, age_s = self.rates.at(time.monotonic())
         held = "held · " if self.paused.get() else ""
         self.readings[1].configure(

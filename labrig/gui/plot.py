@@ -21,6 +21,8 @@ from labrig.gui.curves import (
 from labrig.gui.palette import rgb
 from labrig.gui.style import Style
 
+LEGEND_SHARE = 0.9  # of the pane's width, at most
+
 
 class PlotPane(tk.Canvas):
     """Shows a chart, and the values under the pointer."""
@@ -144,10 +146,8 @@ class PlotPane(tk.Canvas):
             return
         line = font.metrics("linespace") + px(2)
         texts = [*(c.name for c in named), *self.chart.notes]
-        # in a low pane the legend has several columns, so that it stays inside
-        rows = max(min((frame.bottom - frame.top - px(14)) // line, len(texts)), 1)
-        columns = -(-len(texts) // rows)
         wide = max(font.measure(text) for text in texts) + px(44)
+        rows, columns = self._legend_size(frame, len(texts), wide, line)
         x, y = frame.right - columns * wide - px(4), frame.top + px(6)
         self.create_rectangle(
             x, y, frame.right - px(6), y + line * rows + px(6), fill=p.card, outline=p.line
@@ -160,6 +160,13 @@ class PlotPane(tk.Canvas):
                 self._key(left + px(6), row, colour, dashes, marker, hollow=named[k].points)
                 indent = px(36)
             self.create_text(left + indent, row, text=text, anchor="w", font=font, fill=p.text)
+
+    def _legend_size(self, frame: Frame, n: int, wide: int, line: int) -> tuple[int, int]:
+        """Return rows and columns of a legend of n names: one column if that leaves room below."""
+        width, height = frame.right - frame.left, frame.bottom - frame.top
+        fit = next((r for r in range(1, n + 1) if -(-n // r) * wide <= LEGEND_SHARE * width), n)
+        rows = n if n * line <= 0.5 * height else fit
+        return rows, -(-n // rows)
 
     def _key(
         self, x: int, y: int, colour: str, dashes: tuple[float, ...], marker: str, *, hollow: bool

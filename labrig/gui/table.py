@@ -47,13 +47,11 @@ class Numbers(ttk.Frame):
             selectbackground=p.select,
             selectforeground=p.on_select,
         )
-        tabs = (px(250), px(420)) if self._quality else ()
-        text.configure(tabs=tabs)
         text.tag_configure(
             "head", font=font("head"), foreground=p.dim, spacing1=px(8), spacing3=px(2)
         )
         text.tag_configure("name", foreground=p.dim, font=font("small"), spacing1=px(4))
-        text.tag_configure("plain", spacing1=px(3), lmargin2=px(250))
+        text.tag_configure("plain", spacing1=px(3))
         text.tag_configure("value", font=font("bold"))
         text.tag_configure("dim", foreground=p.dim, font=font("small"))
         text.tag_configure(
@@ -64,6 +62,8 @@ class Numbers(ttk.Frame):
         """Show the numbers of a result."""
         self.shown = shown
         text = self.text
+        if self._quality:
+            self._set_tabs(shown)
         text.configure(state="normal")
         text.delete("1.0", "end")
         text.insert("end", shown.title + "\n", "dim")
@@ -84,6 +84,15 @@ class Numbers(ttk.Frame):
             parts = (f"{stage} {s:.1f} s" for stage, s in shown.seconds.items())
             text.insert("end", " · ".join(parts) + "\n", "dim")
         text.configure(state="disabled")
+
+    def _set_tabs(self, shown: Shown) -> None:
+        """Let values begin behind the longest name, and truths behind the longest value."""
+        font, px = self._style.font, self._style.px
+        names = [row.name for row in shown.rows] + [name for name, _ in shown.quality]
+        first = max((font().measure(name) for name in names), default=0) + px(16)
+        values = (font("bold").measure(f"{row.value} {row.unit}") for row in shown.rows)
+        self.text.configure(tabs=(first, first + max(values, default=0) + px(16)))
+        self.text.tag_configure("plain", lmargin2=first)
 
     def _row(self, name: str, value: str, unit: str, truth: str, off: str) -> None:
         text = self.text

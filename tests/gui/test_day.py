@@ -161,6 +161,7 @@ def test_light_field_has_a_glyph_at_every_point_that_is_lit_and_is_read_by_arrow
 ):
     window = open_window()
     app = window.app
+    app.devices.hold(paused=True)
     app.outcomes.show(labrig_shown(results_root))
     window.key("Control-Key-5")
     half = app.field.halves[0]
