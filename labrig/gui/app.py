@@ -28,6 +28,7 @@ from labrig.gui.widgets import Tip
 
 BEAT_MS = 15
 LEAST = (1100, 680)
+LOW = 760  # height below which the log gives way to a banner
 USUAL = (1440, 900)
 TITLES = ("Live", "Separation", "Attenuation", "Bounces", "Light field", "Report")
 
@@ -88,7 +89,9 @@ class App:
         root.columnconfigure(1, weight=1)
         root.rowconfigure(2, weight=1)
         self._build_head()
-        self.banner = Banner(root, self.style, self.show_log)
+        self.log = Log(root, self.style, self.places.settings.with_name("window.log"))
+        self.log.grid(row=3, column=0, columnspan=3, sticky="ew", padx=px(8), pady=(px(6), 0))
+        self.banner = Banner(root, self.style, self.show_log, self._make_room)
         self.banner.grid(row=1, column=0, columnspan=3, sticky="ew")
         self.banner.hide()
         left = ttk.Frame(root, width=px(224))
@@ -106,8 +109,6 @@ class App:
         self.browser.pack(fill="both", expand=True)
         self._build_tabs()
         self._build_right()
-        self.log = Log(root, self.style, self.places.settings.with_name("window.log"))
-        self.log.grid(row=3, column=0, columnspan=3, sticky="ew", padx=px(8), pady=(px(6), 0))
         self.status = Status(root, self.style, self.abort)
         self.status.grid(row=4, column=0, columnspan=3, sticky="ew")
 
@@ -276,6 +277,9 @@ class App:
             self.log.grid_remove()
         else:
             self.show_log()
+
+    def _make_room(self, banner: bool) -> None:
+        self.log.give_way(low=banner and self.root.winfo_height() < self.px(LOW))
 
     def show_log(self) -> None:
         """Show the log, its last line in sight."""

@@ -74,6 +74,11 @@ class Log(ttk.Frame):
             except OSError:
                 self._file = None  # the window's own lines go on
 
+    def give_way(self, *, low: bool) -> None:
+        """Show a line alone in a low window, so that what stands above keeps its room."""
+        self.text.configure(height=1 if low else 3)
+        self.text.see("end")
+
     def copy(self) -> None:
         """Put every line on the clipboard."""
         self.clipboard_clear()
@@ -105,13 +110,19 @@ class Status(ttk.Frame):
 class Banner(ttk.Frame):
     """Trouble: what happened, what is safe, and what can be done. Nothing else ever shows here."""
 
-    def __init__(self, parent: tk.Misc, style: Style, log: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        parent: tk.Misc,
+        style: Style,
+        log: Callable[[], None],
+        changed: Callable[[bool], None],
+    ) -> None:
         px = style.px
         super().__init__(parent, style="Banner.TFrame", padding=(px(10), px(5)))
         self._style = style
         self.actions = ttk.Frame(self, style="Banner.TFrame")
         self.actions.pack(side="right")
-        self._details = log
+        self._details, self._changed = log, changed
         self.words = ttk.Label(self, style="Banner.TLabel", text="", justify="left")
         self.words.pack(side="left", fill="x", expand=True)
         self.bind(
@@ -133,8 +144,10 @@ class Banner(ttk.Frame):
                 side="left", padx=(self._style.px(6), 0)
             )
         self.grid()
+        self._changed(True)
 
     def hide(self) -> None:
         """Let the banner go."""
         self.text = ""
         self.grid_remove()
+        self._changed(False)

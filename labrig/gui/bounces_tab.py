@@ -45,6 +45,7 @@ class BouncesTab(ResultTab):
         self.bounces: Bounces | None = None
         self.own: Bounces | None = None
         self.first = 1
+        self._how = ""  # the price was made out
         self.each = tk.BooleanVar(self, value=True)
         self._sliders(pay)
         holder = ttk.Frame(self.figure, style="Card.TFrame")
@@ -91,6 +92,7 @@ class BouncesTab(ResultTab):
         )
         self.price_words = ttk.Label(low, text="", style="Card.TLabel", width=34)
         self.price_words.grid(row=1, column=2, sticky="w")
+        Tip(self.price_words, ui, lambda: self._how)
         self.pay = ttk.Button(
             low, text="Compute", style="Tool.TButton", command=lambda: pay(self.wanted)
         )
@@ -119,8 +121,6 @@ class BouncesTab(ResultTab):
             self._redraw,
             "Else all pictures share one scale",
         ).pack(side="left")
-        self.about = ttk.Label(top, text="", style="CardDim.TLabel")
-        self.about.pack(side="right")
 
     @property
     def wanted(self) -> float:
@@ -158,7 +158,7 @@ class BouncesTab(ResultTab):
             text=f"{100 * price.tolerance:.2g} %: {price.seconds:.2g} s, "
             f"{1e3 * price.gigabytes:.3g} MB"
         )
-        self.about.configure(text=f"{price.engine}, {price.grid}")
+        self._how = f"{price.engine}, {price.grid}"
 
     def _stepping(self, scale: ttk.Scale, share: float) -> Callable[[object], str]:
         return lambda _event: self._key(scale, share)

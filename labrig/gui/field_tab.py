@@ -127,7 +127,7 @@ class FieldTab(ResultTab):
             angle = math.degrees(found.beam_angle_rad)
             half.pane.title = f"bounce {k}, beam at {angle:.3g}°"
             if self.halves[1].bounces is not None:
-                half.pane.title += f"  {half.name[:28]}"
+                half.pane.title += f"\n{half.name}"
             half.pane.look.high = max(float(np.quantile(picture, 0.999)), 1e-30)
             half.pane.recolour()
             half.pane.show(smooth(picture, found.lit))

@@ -148,6 +148,8 @@ class PlotPane(tk.Canvas):
         texts = [*(c.name for c in named), *self.chart.notes]
         wide = max(font.measure(text) for text in texts) + px(44)
         rows, columns = self._legend_size(frame, len(texts), wide, line)
+        if rows * line + px(12) > frame.bottom - frame.top:
+            return  # it would hide the curves
         x, y = frame.right - columns * wide - px(4), frame.top + px(6)
         self.create_rectangle(
             x, y, frame.right - px(6), y + line * rows + px(6), fill=p.card, outline=p.line

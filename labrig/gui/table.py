@@ -51,7 +51,8 @@ class Numbers(ttk.Frame):
             "head", font=font("head"), foreground=p.dim, spacing1=px(8), spacing3=px(2)
         )
         text.tag_configure("name", foreground=p.dim, font=font("small"), spacing1=px(4))
-        text.tag_configure("plain", spacing1=px(3))
+        for tag in ("row", "plain"):
+            text.tag_configure(tag, spacing1=px(3))
         text.tag_configure("value", font=font("bold"))
         text.tag_configure("dim", foreground=p.dim, font=font("small"))
         text.tag_configure(
@@ -88,19 +89,24 @@ class Numbers(ttk.Frame):
     def _set_tabs(self, shown: Shown) -> None:
         """Let values begin behind the longest name, and truths behind the longest value."""
         font, px = self._style.font, self._style.px
-        names = [row.name for row in shown.rows] + [name for name, _ in shown.quality]
-        first = max((font().measure(name) for name in names), default=0) + px(16)
-        values = (font("bold").measure(f"{row.value} {row.unit}") for row in shown.rows)
-        self.text.configure(tabs=(first, first + max(values, default=0) + px(16)))
-        self.text.tag_configure("plain", lmargin2=first)
+
+        def widest(words: list[str], of: str = "text") -> int:
+            return max((font(of).measure(word) for word in words), default=0) + px(16)
+
+        names = widest([row.name for row in shown.rows])
+        values = names + widest([f"{row.value} {row.unit}" for row in shown.rows], "bold")
+        self.text.tag_configure("row", tabs=(names, values), lmargin2=values)
+        first = widest([name for name, _ in shown.quality])
+        self.text.tag_configure("plain", tabs=(first,), lmargin2=first)
 
     def _row(self, name: str, value: str, unit: str, truth: str, off: str) -> None:
         text = self.text
         if self._quality:
             known = truth not in ("", "—") and off not in ("", "—")
-            text.insert("end", f"{name}\t", "plain")
-            text.insert("end", value, "value")
-            text.insert("end", f" {unit}\t" + (f"truth {truth} ({off})" if known else ""), "dim")
+            text.insert("end", f"{name}\t", "row")
+            text.insert("end", value, ("row", "value"))
+            about = f" {unit}\t" + (f"truth {truth} ({off})" if known else "")
+            text.insert("end", about, ("row", "dim"))
             text.insert("end", "\n")
             return
         text.insert("end", f"{name}\n", "name")

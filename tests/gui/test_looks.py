@@ -12,6 +12,7 @@ from test_day import labrig_shown
 from window import Window, clipped, controls, overlapping, tab_order
 
 from labrig.gui.palette import PALETTES, ZEBRA, rgb
+from labrig.shown import Price
 
 TABS = range(6)
 
@@ -30,6 +31,9 @@ def all_looks(window: Window, root: Path) -> list[str]:
     app, found = window.app, []
     app.outcomes.show(labrig_shown(root))
     app.field.compare(labrig_shown(root, 1))
+    app.capture.planned(app.devices.plan, 1e-5)
+    price = Price(tolerance=1e-2, engine="ordinates", grid="a grid", seconds=12.3, gigabytes=1.23)
+    app.bounces.say_prices([price])
     for tab in TABS:
         app.show_tab(tab)
         found += [f"tab {tab}: {fault}" for fault in faults(window)]
