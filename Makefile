@@ -13,10 +13,10 @@ demo: install  ## the main job on the simulated rig
 	@$(BIN)/labrig demo
 
 test: install  ## everything that is right or wrong
-	@$(BIN)/python -m pytest -n auto --dist worksteal -m "not window"
+	@$(BIN)/python -m pytest -n auto --dist worksteal
 
-test-window: install  ## the operator's window under an X server of its own, one test after the other
-	@$(BIN)/python -m pytest -n 0 -q -m window
+test-window: install  ## of these the operator's window alone, each process with an X server of its own
+	@$(BIN)/python -m pytest -n auto --dist worksteal -q tests/gui
 
 lint: install
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .

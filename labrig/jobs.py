@@ -73,7 +73,9 @@ def resolve(path: Path, *, tolerance: float) -> Bounces:
     scene = _scene(result)
     field = labrig.solve(scene, tolerance=tolerance).field
     scale, angle = views.scale_c(result), math.radians(scene.beam.angle_deg)
-    inside = (field.grid.y_mm > scene.beam.from_mm) & (field.grid.y_mm < scene.beam.to_mm)
+    rows = (scene.beam.from_mm, scene.beam.to_mm)
+    x, y = field.grid.x_mm, field.grid.y_mm
+    depth, curves = views.followed(field.fluence, x=x, y=y, rows=rows, angle_rad=angle)
     light = field.light_field
     if light is None:
         msg = "light keeps its direction in this medium: there is no light field to show."
@@ -82,13 +84,13 @@ def resolve(path: Path, *, tolerance: float) -> Bounces:
     return bounces_of(
         fluence=field.fluence,
         light_field=light.astype(np.float32),
-        x=field.grid.x_mm,
-        y=field.grid.y_mm,
+        x=x,
+        y=y,
         theta=field.grid.theta_rad,
-        curves=(field.grid.x_mm, scale * field.fluence[:, inside].mean(axis=1)),
+        curves=(depth, scale * curves),
         scale_c=scale,
         medium=(medium.sigma_t_per_mm, medium.sigma_s_per_mm, medium.g),
-        beam=(scene.beam.from_mm, scene.beam.to_mm, angle),
+        beam=(*rows, angle),
         error_estimate=field.error_estimate,
     )
 

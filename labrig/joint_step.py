@@ -79,11 +79,11 @@ def fit_joint(pictures: Pictures, setup: Setup, config: Analysis, decay: Decay) 
     """Fit sigma_t, sigma_s and g to the stripes of every period and the white light."""
     guess = decay.attenuation.sigma_t_per_mm
     try:
-        _refuse_near_walls(decay.tank, guess)
+        refuse_near_walls(decay.tank, guess)
         seen = observe(pictures, setup, guess, decay.tank)
-        walls = _walls(decay.tank, decay.beam, seen.observed)
+        walls = walls_of(decay.tank, decay.beam, seen.observed)
         observed, fit = seen.observed, fit_seen(seen, guess, config.phase, walls)
-        g_unknown = _std_of_g(fit) > G_UNKNOWN
+        g_unknown = std_of_g(fit) > G_UNKNOWN
         if g_unknown:
             fit = fit_seen(seen, guess, config.phase, walls, g=G_ASSUMED)
     except (AnalysisError, CalibrationError) as error:
@@ -212,12 +212,15 @@ def fit_seen(
     phase: Phase,
     walls: SideWalls,
     g: float | None = None,
+    *,
+    profile: bool = True,
 ) -> StripeAware:
     """Fit once with a guess of the stripes' contrast, then with what the medium makes of it.
 
     Parameters
     ----------
-    g : held there; else it is fitted, with its profile likelihood
+    g : held there; else it is fitted
+    profile : whether a g that is fitted gets its profile likelihood
 
     Raises
     ------
@@ -235,7 +238,7 @@ def fit_seen(
         side_walls=walls,
         contrasts=seen.contrasts,
         g=g,
-        profile=g is None,
+        profile=profile and g is None,
     )
 
 
@@ -279,8 +282,14 @@ def _mean(whites: list[tuple[Array, Array]]) -> tuple[Array, Array]:
     return value, np.mean([v for _, v in whites], axis=0) / len(whites)
 
 
-def _refuse_near_walls(tank: Tank, sigma_t_per_mm: float) -> None:
-    """Waves along an endless face are no picture of a tank narrower than light's free path."""
+def refuse_near_walls(tank: Tank, sigma_t_per_mm: float) -> None:
+    """Refuse a tank narrower than light's free path: waves of no end are no picture of it.
+
+    Raises
+    ------
+    AnalysisError
+        If it is.
+    """
     across = tank.width_mm * sigma_t_per_mm
     if across < NARROW_TAU:
         msg = (
@@ -290,7 +299,8 @@ def _refuse_near_walls(tank: Tank, sigma_t_per_mm: float) -> None:
         raise AnalysisError(msg)
 
 
-def _walls(tank: Tank, beam: Beam, observed: Observed) -> SideWalls:
+def walls_of(tank: Tank, beam: Beam, observed: Observed) -> SideWalls:
+    """Return what gives the side walls' change of the white waves of any medium."""
     y, light = beam.profile_points()
     across = float(np.sum(0.5 * (light[1:] + light[:-1]) * np.diff(y)))
     slanted = replace(beam, angle_deg=math.degrees(math.atan(observed.slope)))
@@ -319,7 +329,8 @@ def _other(observed: Observed, fit: StripeAware, guess_per_mm: float) -> StripeA
         return None
 
 
-def _std_of_g(fit: StripeAware) -> float:
+def std_of_g(fit: StripeAware) -> float:
+    """Return the standard deviation of g, by the camera's noise and the model's error."""
     return math.sqrt(float(fit.covariance[2, 2] + fit.model_covariance[2, 2]))
 
 

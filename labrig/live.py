@@ -28,7 +28,10 @@ from labrig.sequence import MARGIN_S, AttemptError, Cause, Sequencer
 SILENT_S = 2.0  # without a frame for so long the operator is told
 FASTEST_S = 1.0 / 30.0  # between two pictures where time costs nothing
 BLACK_AGE_S = 10.0  # a black picture is taken again while stripes cycle
-CELLS = 3.0  # of the reduced picture, at least, in a period of the stripes
+CYCLE_S = 1.0 / 60.0  # longest exposure of cycling stripes: no set of six is a second old then
+CELLS = 4.0  # of the reduced picture, at least, in a period of the stripes
+APART = 0.1  # periods in a cell, between two waves that look alike over the shifts
+MOST_BINNED, UNKNOWN_BINNED = 8, 2  # pixels along a side; where the period is not known
 
 
 class SilentError(LabrigError):
@@ -55,6 +58,7 @@ class Live:
         self._shows: Show = "stripes"
         self._armed: Show | None = None
         self._applied = CameraSettings(exposure_s=rig.camera_can.exposure_range_s[0])
+        self._cycle_s = CYCLE_S  # exposure of cycling stripes, as the camera took it
         self._sequencer: Sequencer | None = None
         self._turn = 0
         self._reduced: dict[str, tuple[NDArray[np.float32], float]] = {}
@@ -105,8 +109,10 @@ class Live:
         if self._armed != self._shows:
             self._arm()
         name: str = self._shows
+        exposure_s = self._applied.exposure_s
         if self._shows == "cycle":
             frame, name = self._next_shift()
+            exposure_s = self._cycle_s
         else:
             frame = self._newest()
         if isinstance(self._rig.clock, VirtualClock):
@@ -117,7 +123,7 @@ class Live:
             age_s = max(self._rig.now_s() - frame.t_arrival_s, 0.0)
         picture = Picture(
             pixels=frame.pixels,
-            exposure_s=frame.exposure_s or self._applied.exposure_s,
+            exposure_s=frame.exposure_s or exposure_s,
             gain_db=frame.gain_db if frame.gain_db is not None else self._applied.gain_db,
             taken_s=self._last_s - age_s,
             shows=name,
@@ -138,7 +144,7 @@ class Live:
             counts=np.stack([self._reduced[name][0] for name in names]),
             black=self._reduced["black"][0],
             binned=self._binned,
-            exposure_s=self._applied.exposure_s,
+            exposure_s=self._cycle_s,
             setup=self._setup.model_dump(mode="json"),
             taken_s=min(self._reduced[name][1] for name in names),
             plan_s=sum(bracket_of(self._plan, self._rig.config)),
@@ -157,6 +163,10 @@ class Live:
         rig.cover(covered=False)
         self._armed = self._shows
         if self._shows == "cycle":
+            asked_s = max(
+                min(self._applied.exposure_s, CYCLE_S), rig.camera_can.exposure_range_s[0]
+            )
+            self._cycle_s = rig.camera.apply(replace(self._applied, exposure_s=asked_s)).exposure_s
             handles = rig.arm([*self._images.values()])
             self._sequencer = Sequencer(
                 rig=rig,
@@ -224,7 +234,7 @@ class Live:
             set="live",
             role="black" if shift is None else "stripes",
             group="live",
-            exposure_s=self._applied.exposure_s,
+            exposure_s=self._cycle_s,
             shift=shift,
             shifts=None if shift is None else self._shifts,
             pattern=digest(self._images[name]),
@@ -258,13 +268,26 @@ class Live:
 
     @property
     def _binned(self) -> int:
-        """Pixels that are averaged along each side: a third of the stripes' period, at most 8."""
+        """Pixels that are averaged along each side."""
         scale, projection = self._setup.geometry.mm_per_px, self._setup.projection
         stripes = self._setup.stripes
         if scale is None or projection is None or stripes is None:
-            return 2
-        period = stripes.period_px * projection.mm_per_px / scale
-        return int(np.clip(period / CELLS, 1, 8))
+            return UNKNOWN_BINNED
+        return binned_for(stripes.period_px * projection.mm_per_px / scale, self._shifts)
+
+
+def binned_for(period_px: float, shifts: int) -> int:
+    """Return how many pixels of the camera may be averaged along each side.
+
+    As many as leave a few cells to a period of the stripes. Over N shifts their harmonics of
+    order h and h - N look alike, and are told apart by their waves alone: not by cells of which a
+    period holds N, or a whole part of it.
+    """
+    for n in range(MOST_BINNED, 1, -1):
+        alias = shifts * n / period_px
+        if period_px / n >= CELLS and abs(alias - round(alias)) > APART:
+            return n
+    return 1
 
 
 def _sentence(error: Exception) -> str:

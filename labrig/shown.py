@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -127,23 +128,29 @@ class Shown:
 class Fitted:
     """What one set of live stripes says: values with standard deviations, and curves.
 
-    ``taken_s`` is when its oldest picture was taken; ``why`` says what stopped the fit.
+    Attributes
+    ----------
+    taken_s : when its oldest picture was taken
+    depth, single : (n,), single light along the beam as it was separated, counts/s
+    bounce_depth, bounces : (m,), (K, m), the first bounces of the medium found
+    plan_std : of sigma_t after the whole plan; NaN while unknown
+    holds : the fit of the next set may begin from it
+    why : what stopped the fit, or must be said of it
     """
 
     unit: str
-    sigma_t: tuple[float, float] | None
-    sigma_s: tuple[float, float] | None
-    g: tuple[float, float] | None
-    depth: Array
-    single: Array
-    fit: Array
-    bounce_depth: Array
-    bounces: Array
-    multiple: Array
-    plan_std: float
-    why: str
     taken_s: float
-    cpu_s: float
+    sigma_t: tuple[float, float] | None = None
+    sigma_s: tuple[float, float] | None = None
+    g: tuple[float, float] | None = None
+    depth: Array = field(default_factory=lambda: np.empty(0))
+    single: Array = field(default_factory=lambda: np.empty(0))
+    bounce_depth: Array = field(default_factory=lambda: np.empty(0))
+    bounces: Array = field(default_factory=lambda: np.empty((0, 0)))
+    plan_std: float = math.nan
+    holds: bool = False
+    why: str = ""
+    cpu_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

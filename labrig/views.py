@@ -150,29 +150,46 @@ def decays(result: Result) -> list[DecayView]:
 
 
 def along_beam(result: Result) -> tuple[Array, Array]:
-    """Return depths (n,), and the light of every bounce (K, n) averaged across the beam.
+    """Return depths (n,), and the light of every bounce (K, n) averaged across the beam, counts/s.
 
-    Depth and rows are those of the measured profiles: a slanted beam is followed, its depth is
-    the path, and ends where the beam leaves the tank. A cubic spline joins the solver's nodes.
+    As `followed` does.
     """
     y, x = (result.fields[axis].values for axis in ("y", "x"))
     start, end, angle = (
         float(result.attributes[name]) for name in ("beam_from", "beam_to", "beam_angle_rad")
     )
+    fluence = result.fields["fluence"].values
+    depth, light = followed(fluence, x=x, y=y, rows=(start, end), angle_rad=angle)
+    return depth, scale_c(result) * light
+
+
+def followed(
+    fluence: Array, *, x: Array, y: Array, rows: tuple[float, float], angle_rad: float
+) -> tuple[Array, Array]:
+    """Return depths (n,), and the light (K, n) of fields (K, n_y, n_x) averaged across a beam.
+
+    Depth and rows are those of the measured profiles: a slanted beam is followed, its depth is
+    the path, and ends where the beam leaves the tank. A cubic spline joins the solver's nodes.
+
+    Parameters
+    ----------
+    rows : where the beam enters, from and to
+    """
+    start, end = rows
     margin = BEAM_MARGIN * (end - start)
     entry = np.linspace(start + margin, end - margin, LINES)[:, None]
-    row = (entry + x * math.tan(angle) - y[0]) / (y[1] - y[0])  # (lines, n_x), in nodes
+    row = (entry + x * math.tan(angle_rad) - y[0]) / (y[1] - y[0])  # (lines, n_x), in nodes
     inside = (row >= 0.0) & (row <= y.size - 1)
     below = np.clip(row.astype(np.int64), 0, y.size - 2)
     share = np.clip(row - below, 0.0, 1.0)
-    fluence, column = result.fields["fluence"].values, np.arange(x.size)
+    column = np.arange(x.size)
     line = (1.0 - share) * fluence[:, below, column] + share * fluence[:, below + 1, column]
     held = int(inside.any(axis=0).cumprod().sum())
     total = np.where(inside, line, 0.0).sum(axis=1)[:, :held] / inside.sum(axis=0)[:held]
-    depth = x[:held] / math.cos(angle)
+    depth = x[:held] / math.cos(angle_rad)
     fine = np.linspace(depth[0], depth[-1], FINER * (held - 1) + 1)
     spline = make_interp_spline(depth, total, k=min(3, held - 1), axis=1)
-    return fine, scale_c(result) * np.asarray(spline(fine))
+    return fine, np.asarray(spline(fine))
 
 
 def glyph(theta: Array, radiance: Array, centre: tuple[float, float], radius: float) -> Array:

@@ -199,8 +199,8 @@ class App:
         # the button keeps its place; what is above gives way in a low window
         self.capture.pack(side="bottom", fill="x")
         for card in (self.camera, self.focus, self.pattern):
-            card.pack(fill="x", pady=(0, px(5)))
-        self.histogram.pack(fill="both", expand=True, pady=(0, px(5)), before=self.camera)
+            card.pack(fill="x", pady=(0, px(4)))
+        self.histogram.pack(fill="both", expand=True, pady=(0, px(4)), before=self.camera)
         Tip(
             self.histogram.canvas,
             self.style,

@@ -61,7 +61,11 @@ class Browser(Card):
         Tip(self.resume, style, "Ctrl+R: take what a partial session lacks")
         self.compare = ttk.Button(row, text="Compare", style="Tool.TButton", command=compare)
         self.compare.pack(side="right")
-        Tip(self.compare, style, "Ctrl+K: show this session's light field beside the one shown")
+        Tip(
+            self.compare,
+            style,
+            "Ctrl+K: the light field of the result seen before beside this one's",
+        )
         holder = ttk.Frame(self.body, style="Card.TFrame")
         holder.pack(fill="both", expand=True)
         self.tree = ttk.Treeview(

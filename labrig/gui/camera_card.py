@@ -23,7 +23,7 @@ class HistogramCard(Card):
         super().__init__(parent, style, "Histogram (raw counts, log)")
         self._style = style
         self.canvas = tk.Canvas(
-            self.body, height=style.px(44), width=style.px(180), highlightthickness=0
+            self.body, height=style.px(26), width=style.px(180), highlightthickness=0
         )
         self.canvas.pack(fill="both", expand=True)
         self._item = self.canvas.create_image(0, 0, anchor="nw")

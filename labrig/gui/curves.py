@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from labrig.gui.images import Rgb, fill, outline
+from labrig.gui.images import Rgb, fill, outline, outlines
 from labrig.gui.palette import Look, rgb
 
 Array = NDArray[np.float64]
@@ -169,13 +169,27 @@ def dashed(points: Array, dashes: tuple[float, ...]) -> list[Array]:
         way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
         if way[-1] <= 0.0:
             continue
-        cuts = np.concatenate([[0.0], np.cumsum(np.tile(dashes, int(way[-1] / sum(dashes)) + 1))])
-        for begin, end in zip(cuts[0:-1:2], cuts[1::2], strict=False):
-            inside = way[(way > begin) & (way < end)]
-            at = np.concatenate([[begin], inside, [min(end, way[-1])]])
-            if at[-1] > at[0]:
-                found.append(np.stack([np.interp(at, way, line[:, k]) for k in (0, 1)], axis=1))
+        ends = np.cumsum(np.tile(dashes, int(way[-1] / sum(dashes)) + 1))
+        cuts = np.minimum(np.concatenate([[0.0], ends]), way[-1])
+        at = np.union1d(way, cuts)
+        bent = np.stack([np.interp(at, way, line[:, k]) for k in (0, 1)], axis=1)
+        place = np.searchsorted(at, cuts)
+        pairs = zip(place[0:-1:2], place[1::2], strict=False)
+        found += [bent[begin : end + 1] for begin, end in pairs if end > begin]
     return found
+
+
+def _in_sight(at: Array, size: tuple[int, int]) -> Array:
+    """Return points (n, 2), NaN where neither they nor a neighbour lie in a part (width, height).
+
+    What is far outside would be cut into dashes that nobody sees.
+    """
+    with np.errstate(invalid="ignore"):
+        inside = np.asarray(((at >= 0.0) & (at <= np.array(size))).all(axis=1))
+    near = inside.copy()
+    near[1:] |= inside[:-1]
+    near[:-1] |= inside[1:]
+    return np.where(near[:, None], at, np.nan)
 
 
 def _thinned(line: Array) -> Array:
@@ -196,7 +210,7 @@ def draw(picture: Rgb, chart: Chart, frame: Frame, *, scale: float, ground: str)
         tint = part[:, low:high].astype(np.float32)
         tone = np.array(rgb(chart.curves[0].look[0]) if chart.curves else (128, 128, 128))
         part[:, low:high] = (0.88 * tint + 0.12 * tone).astype(np.uint8)
-    limit = 4.0 * max(part.shape)
+    limit, size = 4.0 * max(part.shape), (part.shape[1], part.shape[0])
     for curve in chart.curves:
         colour, dashes, marker = curve.look
         at = np.clip(frame.at(curve.x, curve.y) - corner, -limit, limit)
@@ -204,12 +218,12 @@ def draw(picture: Rgb, chart: Chart, frame: Frame, *, scale: float, ground: str)
             _band(part, curve, frame, corner, limit)
         width = max(round(curve.width * scale), 1)
         if not curve.points:
-            for line in dashed(at, tuple(d * scale for d in dashes)):
-                outline(part, line, colour, width=width, closed=False)
+            pieces = dashed(_in_sight(at, size), tuple(d * scale for d in dashes))
+            outlines(part, pieces, colour, width=width)
         inside = np.flatnonzero(
             np.isfinite(at).all(axis=1)
             & (at >= 0.0).all(axis=1)
-            & (at <= np.array(part.shape[1::-1])).all(axis=1)
+            & (at <= np.array(size)).all(axis=1)
         )
         if marker and inside.size:
             n = 40 if curve.points else MARKS
@@ -251,5 +265,3 @@ def _mark(
     shape = at + size * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     fill(part, shape, ground if hollow else colour, 1.0)
     outline(part, shape, colour if hollow else ground, width=1)
-    if not hollow:
-        return

@@ -23,6 +23,8 @@ PITCH_PX = 46.0  # of glyphs on the screen at scale 1
 REACH = 0.46  # of the pitch
 FAINT = 1e-4  # of the brightest: points darker than that have no glyph
 RED = "#ff6b57"
+ALONE = "red marks: sampling points · white outlines: radiance by direction"
+BESIDE = "each picture to its own maximum"
 
 
 @dataclass
@@ -52,11 +54,7 @@ class FieldTab(ResultTab):
         self.alone = ttk.Button(
             top, text="End comparison", style="Tool.TButton", command=lambda: self.compare(None)
         )
-        self.words = ttk.Label(
-            top,
-            text="red marks: sampling points · white outlines: radiance by direction",
-            style="CardDim.TLabel",
-        )
+        self.words = ttk.Label(top, text=ALONE, style="CardDim.TLabel")
         self.words.pack(side="right")
         side = ttk.Frame(self.figure, style="Card.TFrame", width=px(200))
         side.pack_propagate(False)
@@ -107,7 +105,9 @@ class FieldTab(ResultTab):
         if half.bounces is None:
             half.pane.pack_forget()
             self.alone.pack_forget()
+            self.words.configure(text=ALONE)
         else:
+            self.words.configure(text=BESIDE)
             half.pane.pack(side="left", fill="both", expand=True, padx=(self.ui.px(3), 0))
             self.alone.pack(side="left", padx=self.ui.px(6))
         self._redraw()

@@ -137,6 +137,12 @@ def outline(
     cv2.polylines(picture, [fixed], closed, rgb(colour), width, cv2.LINE_AA, SHIFT)
 
 
+def outlines(picture: Rgb, pieces: list[NDArray[np.float64]], colour: str, *, width: int) -> None:
+    """Draw open lines, each through points (n, 2), as `outline` does."""
+    fixed = [np.rint(points * (1 << SHIFT)).astype(np.int32) for points in pieces]
+    cv2.polylines(picture, fixed, False, rgb(colour), width, cv2.LINE_AA, SHIFT)
+
+
 def fill(picture: Rgb, points: NDArray[np.float64], colour: str, opacity: float) -> None:
     """Lay a colour over the inside of an outline (n, 2)."""
     low = np.maximum(np.floor(points.min(axis=0)).astype(int) - 1, 0)

@@ -40,7 +40,7 @@ class Keys:
             (
                 "Ctrl K",
                 "Control-k",
-                "compare with the chosen session",
+                "compare with the result seen before",
                 lambda: app.outcomes.compare(),
             ),
             ("Ctrl E", "Control-e", "export the result", lambda: app.outcomes.export()),
@@ -65,6 +65,7 @@ class Keys:
             ("0", "0", "the whole picture", self._fit),
             ("1", "1", "a pixel on a pixel", live.one),
             ("Z", "z", "zebra over clipped pixels", lambda: flip(live.tools["zebra"])),
+            ("V", "v", "square-root scale", lambda: flip(live.tools["root"])),
             ("R", "r", "region that is read", lambda: flip(live.tools["roi"])),
             ("P", "p", "profile along the beam", lambda: flip(live.tools["profile"])),
             (

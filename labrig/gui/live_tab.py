@@ -69,6 +69,7 @@ class LiveTab(ttk.Frame):
         self._hold, self._set_roi, self._set_drawer = hold, roi, drawer
         self.paused = tk.BooleanVar(self, value=False)
         self.zebra = tk.BooleanVar(self, value=True)
+        self.root_scale = tk.BooleanVar(self, value=False)
         self.drawing_roi = tk.BooleanVar(self, value=False)
         self.profile = tk.BooleanVar(self, value=False)
         self.decomposing = tk.BooleanVar(self, value=False)
@@ -121,6 +122,15 @@ class LiveTab(ttk.Frame):
                 self.refresh,
                 "Hatch pixels whose raw counts are at the white level",
             ),
+            "root": toggle(
+                bar,
+                ui,
+                "√",
+                "V",
+                self.root_scale,
+                self.refresh,
+                "A square-root scale shows the weak light beside the beam; its ends stay fixed",
+            ),
             "roi": toggle(
                 bar,
                 ui,
@@ -150,7 +160,7 @@ class LiveTab(ttk.Frame):
             ),
         }
         for widget in self.tools.values():
-            widget.pack(side="left", padx=(0, px(2)))
+            widget.pack(side="left", padx=(0, px(1)))
 
     def _readings(self) -> tuple[ttk.Label, ttk.Label]:
         px = self.ui.px
@@ -196,6 +206,7 @@ class LiveTab(ttk.Frame):
         if self.picture is None or self.rig is None:
             return
         self.pane.look.white_level = self.rig.white_level if self.zebra.get() else None
+        self.pane.look.root = self.root_scale.get()
         self.pane.show(self.picture.pixels)
         self._read()
 
@@ -318,7 +329,7 @@ class LiveTab(ttk.Frame):
         if rig.mm_per_px:
             self._scale_bar(rig.mm_per_px)
         if self.picture is not None:
-            shows = self.picture.shows
+            shows = f"{self.picture.shows}{', √ scale' if pane.look.root else ''}"
             pane.label(pane.winfo_width() - px(10), px(6), shows, anchor="ne", font="small")
 
     def _scale_bar(self, mm_per_px: float) -> None:

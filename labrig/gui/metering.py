@@ -36,6 +36,7 @@ class Metering:
         self._app, self._devices = app, devices
         self.meter: Meter | None = None
         self.uncertainty = math.nan
+        self._focused_s = 0.0
         self._auto = 0
         self._auto_back: Show | None = None
         self._hinted = False
@@ -73,7 +74,10 @@ class Metering:
         app.histogram.show(meter)
         if self._devices.running:
             return
-        if picture.shows not in ("black", "off"):
+        if picture.shows == "stripes":  # white light has few edges: it would pass for blur
+            if picture.exposure_s != self._focused_s:  # noise would pass for sharpness
+                app.focus.reset_best()
+            self._focused_s = picture.exposure_s
             app.focus.read(meter.focus)
         if not self._auto and self._devices.plan is not None:
             app.pattern.preview(self._line_of(picture.shows))
@@ -180,7 +184,8 @@ class Metering:
             return
         found = self._devices.door.stripes.take()
         if found is not None:
-            self._fitter.ask("decompose", found, then=self._fitted, failed=self._not_fitted)
+            before = self._app.live.drawer.live.fitted
+            self._fitter.ask("decompose", found, before, then=self._fitted, failed=self._not_fitted)
 
     def _fitted(self, fitted: Fitted) -> None:
         self._app.live.drawer.live.show(fitted)

@@ -33,6 +33,7 @@ class Outcomes:
     def __init__(self, app: App) -> None:
         self._app = app
         self.shown: Shown | None = None
+        self._before: Shown | None = None
         self.weighted: Bounces | None = None
         self.own: Bounces | None = None
         self._doing = ""
@@ -125,22 +126,18 @@ class Outcomes:
             self.show(self.shown)
 
     def compare(self) -> None:
-        """Show the chosen session's light field beside the one that is shown."""
-        entry = self._app.browser.selected
-        if entry is None or not entry.fitted:
-            self._app.say("warn", "choose a fitted session to compare with")
+        """Show the light field of the result seen before beside that of the chosen one."""
+        if self.shown is None or self._before is None:
+            self._app.say("warn", "look at two results, one after the other, to compare them")
             return
-
-        def beside(other: Shown) -> None:
-            self._app.field.compare(other)
-            self._app.show_tab(4)
-
-        self._ask("reading the results", "shown", entry.path, then=beside)
+        self._app.show_tab(4)
+        self._app.field.compare(self._before)
 
     # What is shown.
 
     def show(self, shown: Shown) -> None:
         """Show a result in every tab; the one in sight first."""
+        self._leave(shown)
         self.shown = shown
         self.own = self.weighted = shown.bounces
         self._drawn.clear()
@@ -312,7 +309,13 @@ class Outcomes:
 
         self._helper.ask("prices", self.shown.path, tolerance=tolerance, then=told, failed=refused)
 
+    def _leave(self, by: Shown | None) -> None:
+        """Keep what was shown, to be compared with what takes its place."""
+        if self.shown is not None and (by is None or by.path != self.shown.path):
+            self._before = self.shown
+
     def _say_tabs(self, text: str) -> None:
+        self._leave(None)
         self.shown = self.own = self.weighted = None
         for tab in self._app.result_tabs:
             tab.say(text)

@@ -40,7 +40,7 @@ def judge(day: Day) -> list[tuple[bool, str]]:
         (day.connected, "no rig is connected: Retry, or start with another --rig"),
         (
             day.connected and focused,
-            sharp if day.focus_readings >= READINGS else "show stripes or a picture and focus",
+            sharp if day.focus_readings >= READINGS else "show stripes and focus",
         ),
         (day.connected and day.exposure_fits, day.exposure_why or "press A for automatic exposure"),
         (

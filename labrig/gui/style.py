@@ -137,7 +137,7 @@ class Style:
             "relief": "flat",
         }
         style.configure("TButton", **button)
-        style.configure("Tool.TButton", **button | {"padding": (px(5), px(2))})
+        style.configure("Tool.TButton", **button | {"padding": (px(4), px(2))})
         style.configure("Bad.TButton", **button | {"foreground": p.bad})
         style.configure(
             "Step.TButton",
@@ -209,7 +209,7 @@ class Style:
             darkcolor=[("disabled", p.raised)],
         )
         on = [("selected", p.select)]
-        style.configure("Toggle.Toolbutton", **button | {"padding": (px(5), px(2))})
+        style.configure("Toggle.Toolbutton", **button | {"padding": (px(4), px(2))})
         style.map(
             "Toggle.Toolbutton",
             background=[*on, ("active", p.line)],
