@@ -39,23 +39,27 @@ class BounceTable:
     fluence: Array
 
     def at(self, g: float) -> Array:
-        """Return phi_1 .. phi_K at an asymmetry for an albedo of one, (K, n_y, n_x).
+        """Return phi_1 .. phi_K at an asymmetry for an albedo of one, (K, n_y, n_x)."""
+        return np.tensordot(self._share(g), self.fluence, axes=1)
+
+    def multiple(self, g: float, albedo: float) -> Array:
+        """Return the multiple scattering sum_(k>=2) sigma_s^(k-1) I_k / c, (n_y, n_x) (Eq. 10)."""
+        weights = albedo ** np.arange(self.fluence.shape[1])
+        weights[0] = 0.0
+        return np.tensordot(np.outer(self._share(g), weights), self.fluence, axes=2)
+
+    def _share(self, g: float) -> Array:
+        """Return the weights of the nodes by which a value at g is interpolated, (n_g,).
 
         Barycentric interpolation on Chebyshev points of the first kind.
         """
         n = self.g_nodes.size
         distance = g - self.g_nodes
         if np.any(distance == 0.0):
-            return np.asarray(self.fluence[int(np.argmin(np.abs(distance)))])
+            return np.asarray((distance == 0.0).astype(np.float64))
         j = np.arange(n)
         weight = (-1.0) ** j * np.sin((2 * j + 1) * np.pi / (2 * n)) / distance
-        return np.tensordot(weight / weight.sum(), self.fluence, axes=1)
-
-    def multiple(self, g: float, albedo: float) -> Array:
-        """Return the multiple scattering sum_(k>=2) sigma_s^(k-1) I_k / c, (n_y, n_x) (Eq. 10)."""
-        pictures = self.at(g)
-        weights = albedo ** np.arange(1, pictures.shape[0])
-        return np.tensordot(weights, pictures[1:], axes=1)
+        return np.asarray(weight / weight.sum())
 
 
 def tabulate(

@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from analysis.errors import AnalysisError
 from analysis.medium import Medium, Phase
+from analysis.phase_function import alike
 from analysis.stripe_problem import G_LIMIT, Observed, Problem, directions
 from analysis.transport.eigenmodes import plane_light
 
@@ -33,8 +34,7 @@ AT_LIMIT = 1e-4
 WALL_ERROR = 0.06  # of what the side walls take away: how well that is known
 ROUNDS = 8
 ROUGH, FINE = 1e-3, 1e-5  # change of a fit's residual, or of its parameters, that ends it
-FAR = (2e-3, 2e-3, 2e-3)  # change from which on derivatives are taken anew
-PROFILE_STDS, PROFILE_POINTS = 3.0, 7
+PROFILE_STDS, PROFILE_STEPS = 3.0, 3
 SETTLED = (3e-4, 1e-3, 1e-3)  # change of (log sigma_t, albedo, g) that ends these rounds
 
 Contrasts = Callable[[Medium], Sequence[tuple[float | None, float]]]
@@ -91,7 +91,7 @@ def fit_stripe_aware(
     phase: Phase = "hg-plane",
     side_walls: SideWalls | None = None,
     contrasts: Contrasts | None = None,
-    near: Medium | None = None,
+    near: Medium | StripeAware | None = None,
     g: float | None = None,
     profile: bool = False,
 ) -> StripeAware:
@@ -105,21 +105,25 @@ def fit_stripe_aware(
     sigma_t_per_mm : a guess, such as Eq. 9 gives; it may be a third too small
     side_walls : what the side walls change of the white waves per unit of C, (J + 1, n_x)
     contrasts : value and relative std of each period's contrast, better known with a medium
-    near : where to start; else from several asymmetries and albedos
+    near : where to start, else at several asymmetries and albedos: a medium, or a fit by the other
+        phase function, whose losses are taken too
     g : held there, for data that do not tell it
     profile : whether the profile likelihood of g is wanted too
 
     Raises
     ------
     AnalysisError
-        If too few depths hold stripes and white light, or no fit is found.
+        If too few depths hold stripes and white light, or no fit is found; if no medium scatters
+        like that of ``near``.
     """
     with threadpool_limits(limits=1):  # small matrices: a second thread only waits
         problem = Problem(observed, phase, sigma_t_per_mm)
-        at = np.array(_start(problem, sigma_t_per_mm) if near is None else _of(near))
+        at = np.array(_start(problem, sigma_t_per_mm) if near is None else _near(near, phase))
         if g is not None:
             problem.hold_g(g)
             at[2] = g
+        if isinstance(near, StripeAware):
+            problem.losses = near.losses
         found = problem.start(at)
         path: list[tuple[Array, Array]] = []
         for done in range(ROUNDS):
@@ -134,8 +138,7 @@ def fit_stripe_aware(
                 break
             if done > 0 and np.all(np.abs(move) < SETTLED):
                 break
-            if np.any(np.abs(move) > FAR):
-                problem.renew(found)
+            problem.renew(found)
             at, path = found[:3], [*path[-2:], (at, move)] if done > 0 else []
             if path:
                 at = np.clip(_ahead(path), *problem.bounds)
@@ -168,7 +171,8 @@ def stripe_answer(
         depth_mm=depth_mm,
         wavenumber_per_mm=q,
         angle_deg=math.degrees(math.atan(slope)),
-        n_theta=directions(medium.g, q, float(x_mm.max())),
+        n_theta=directions(q, float(x_mm.max()), slope),
+        equal_steps=True,
     )
     return np.abs(light)
 
@@ -178,18 +182,26 @@ def _profile(problem: Problem, found: Array) -> Array:
     normal = problem.jacobian(found).T @ problem.jacobian(found)
     std = math.sqrt(float(np.linalg.pinv(normal)[2, 2]))
     least = float(np.sum(problem.residual(found) ** 2))
-    curve = []
-    for g in found[2] + std * np.linspace(-PROFILE_STDS, PROFILE_STDS, PROFILE_POINTS):
-        if abs(g) < G_LIMIT:
-            problem.hold_g(float(g))
-            start = found.copy()
+    curve = [(float(found[2]), 0.0)]
+    for side in (-1.0, 1.0):
+        before, at = found, found
+        for step in range(1, PROFILE_STEPS + 1):
+            g = float(found[2] + side * step * std * PROFILE_STDS / PROFILE_STEPS)
+            if abs(g) >= G_LIMIT:
+                break
+            problem.hold_g(g)
+            start = 2.0 * at - before  # the valley goes on as it went
             start[2] = g
-            above = np.sum(problem.residual(_solve(problem, start, ROUGH)) ** 2) - least
-            curve.append((float(g), float(above)))
-    return np.array(curve).reshape(-1, 2)
+            before, at = at, _solve(problem, start, ROUGH)
+            curve.append((g, float(np.sum(problem.residual(at) ** 2) - least)))
+    return np.array(sorted(curve))
 
 
-def _of(medium: Medium) -> tuple[float, float, float]:
+def _near(known: Medium | StripeAware, phase: Phase) -> tuple[float, float, float]:
+    medium = known if isinstance(known, Medium) else alike(known.medium, phase)
+    if medium is None:
+        msg = f"no medium of phase function {phase} scatters like the one that was found."
+        raise AnalysisError(msg)
     return math.log(medium.sigma_t_per_mm), medium.albedo, medium.g
 
 

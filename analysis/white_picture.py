@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from analysis.medium import Beam, Tank
 from analysis.stripe_aware import StripeAware
-from analysis.stripe_problem import Observed, directions
+from analysis.stripe_problem import Observed
 from analysis.transport.eigenmodes import plane_light
 
 Array = NDArray[np.float64]
@@ -63,7 +63,6 @@ def _answer(fit: StripeAware, q: float, x_mm: Array, slope: float, depth_mm: flo
         depth_mm=depth_mm,
         wavenumber_per_mm=q,
         angle_deg=math.degrees(math.atan(slope)),
-        n_theta=directions(fit.medium.g, q, 0.0),
     )
 
 

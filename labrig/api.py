@@ -137,11 +137,16 @@ def verify(session: StrPath, *, progress: Counted | None = None) -> list[Problem
 
 
 def open_rig(
-    rig: Rig | StrPath, scene: Scene | StrPath, plan: Plan, *, progress: Counted | None = None
+    rig: Rig | StrPath,
+    scene: Scene | StrPath | None,
+    plan: Plan,
+    *,
+    progress: Counted | None = None,
 ) -> OpenRig:
     """Open the devices of a rig, ready for a plan; use it in a ``with`` block.
 
-    A rig given as a file brings the latency record that lies beside it.
+    A rig given as a file brings the latency record that lies beside it. A simulated rig looks at
+    the scene; a real one needs none.
     ``progress(done, all)`` follows the Monte Carlo that makes a new scene's light.
 
     Raises
@@ -151,7 +156,7 @@ def open_rig(
     """
     latency = None if isinstance(rig, Rig) else _config.latency_beside(Path(rig))
     rig = rig if isinstance(rig, Rig) else load_rig(rig)
-    scene = scene if isinstance(scene, Scene) else load_scene(scene)
+    scene = scene if scene is None or isinstance(scene, Scene) else load_scene(scene)
     return _rig.open_rig(rig, scene, plan, latency=latency, progress=progress)
 
 
@@ -286,9 +291,9 @@ def read_calibration(path: StrPath) -> RecordFile:
 
 def report_calibration(record: StrPath, out: StrPath | None = None) -> Path:
     """Write figures and a self-contained HTML page of a calibration record; return the page."""
-    from labrig.calibration_page import write_page  # noqa: PLC0415 - matplotlib takes a second
+    from labrig.calibration_page import write_record_page  # noqa: PLC0415 - matplotlib takes a second
 
-    return write_page(Path(record), None if out is None else Path(out))
+    return write_record_page(Path(record), None if out is None else Path(out))
 
 
 def draw_board(out: StrPath, **sizes: float) -> tuple[Path, ...]:
@@ -328,21 +333,30 @@ def reweight(result: Result, sigma_s_per_mm: float) -> Result:
 def report(
     result: Result | StrPath,
     out: StrPath | None = None,
+    *,
+    beside: Result | StrPath | None = None,
 ) -> Path:
     """Write figures and a self-contained HTML report; return the path of the page.
 
     Parameters
     ----------
     result : a result, its folder, a session folder (its newest result), or a calibration record
+    beside : a second result: the page holds both side by side, for beams that enter straight and
+        aslant, two fillings, two exposures
 
     Raises
     ------
     labrig.errors.SessionError
         If there are no results, or they are damaged.
     """
-    from labrig.report_page import write_report  # noqa: PLC0415 - matplotlib takes a second to load
+    from labrig.beside_page import write_beside  # noqa: PLC0415 - matplotlib takes a second
+    from labrig.report_page import write_report  # noqa: PLC0415 - to load
 
+    place = None if out is None else Path(out)
     if not isinstance(result, Result) and _calibration_store.is_record(Path(result)):
         return report_calibration(result, out)
     found = result if isinstance(result, Result) else read_results(Path(result))
-    return write_report(found, None if out is None else Path(out), found.run.get("truth"))
+    if beside is None:
+        return write_report(found, place, found.run.get("truth"))
+    other = beside if isinstance(beside, Result) else read_results(Path(beside))
+    return write_beside(found, other, place)

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import base64
 from datetime import UTC
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from calibration.record import HEEDED, MAX_AGE
-from labrig import figures, figures_calibration
+from labrig import figures_calibration
 from labrig.calibration_store import read_record
-from labrig.errors import RunError
 from labrig.models.calibration import QuantityFile, RecordFile
-from labrig.report_page import UNKNOWN, Plate
-from labrig.views import with_std
+from labrig.page import Plate, plates, templates, write_page
+from labrig.views import UNKNOWN, with_std
 
 CAPTIONS = {
     "photon-transfer": (
@@ -61,7 +57,7 @@ CAPTIONS = {
 }
 
 
-def write_page(folder: Path, out: Path | None = None) -> Path:
+def write_record_page(folder: Path, out: Path | None = None) -> Path:
     """Write ``report.html``, and ``figures/`` with a PNG and a PDF of each; return the page.
 
     Raises
@@ -72,49 +68,36 @@ def write_page(folder: Path, out: Path | None = None) -> Path:
         If the place cannot be written.
     """
     file, record = read_record(folder)
-    place = out or folder
-    try:
-        (place / "figures").mkdir(parents=True, exist_ok=True)
-        plates = []
-        for name, figure in figures_calibration.all_figures(record).items():
-            png = base64.b64encode(figures.save(figure, place / "figures" / name)).decode("ascii")
-            title, caption = CAPTIONS[name]
-            plates.append(Plate(name=name, title=title, caption=caption, png=png))
-        page = place / "report.html"
-        page.write_text(_render(file, plates), encoding="utf-8")
-    except OSError as error:
-        reason = error.strerror or str(error)
-        msg = f"{place}: the page cannot be written ({reason}); name another place with --out."
-        raise RunError(msg) from error
-    return page
+
+    def page(files: Path) -> str:
+        return _render(file, plates(figures_calibration.all_figures(record), CAPTIONS, files))
+
+    return write_page(out or folder, "report.html", page)
 
 
-def _render(file: RecordFile, plates: list[Plate]) -> str:
-    environment = Environment(
-        loader=PackageLoader("labrig"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+def _render(file: RecordFile, drawn: list[Plate]) -> str:
     heeded = HEEDED[file.kind]
     made = file.created.astimezone(UTC)
-    return environment.get_template("calibration.html").render(
-        title=file.kind.replace("-", " "),
-        identity=file.id,
-        made=f"{made.day} {made:%B %Y, %H:%M} UTC",
-        warn_after=f"{MAX_AGE[file.kind].total_seconds() / 3600.0:.0f} h",
-        quantities=[(name, _measured(q), q.unit) for name, q in file.quantities.items()],
-        settings=[(key, _flat(value)) for key, value in file.settings.items()],
-        conditions=[
-            (name.replace("_", " "), _flat(value) if value is not None else UNKNOWN)
-            for name, value in file.conditions.model_dump().items()
-            if name in heeded
-        ],
-        notes=file.notes,
-        plates=plates,
-        source=file.source.model_dump(),
-        software=file.software,
+    return (
+        templates()
+        .get_template("calibration.html")
+        .render(
+            title=file.kind.replace("-", " "),
+            identity=file.id,
+            made=f"{made.day} {made:%B %Y, %H:%M} UTC",
+            warn_after=f"{MAX_AGE[file.kind].total_seconds() / 3600.0:.0f} h",
+            quantities=[(name, _measured(q), q.unit) for name, q in file.quantities.items()],
+            settings=[(key, _flat(value)) for key, value in file.settings.items()],
+            conditions=[
+                (name.replace("_", " "), _flat(value) if value is not None else UNKNOWN)
+                for name, value in file.conditions.model_dump().items()
+                if name in heeded
+            ],
+            notes=file.notes,
+            plates=drawn,
+            source=file.source.model_dump(),
+            software=file.software,
+        )
     )
 
 

@@ -185,7 +185,7 @@ def plan_of(header: Mapping[str, Any], path: Path) -> Plan:
     return parse(header.get("plan"), Plan, source=f"{path}: plan")
 
 
-def rig_of(header: Mapping[str, Any], path: Path) -> tuple[Rig, Scene, LatencyRecord | None]:
+def rig_of(header: Mapping[str, Any], path: Path) -> tuple[Rig, Scene | None, LatencyRecord | None]:
     """Return rig, scene and latency of a captured session; its scripted faults are over.
 
     Raises
@@ -198,7 +198,8 @@ def rig_of(header: Mapping[str, Any], path: Path) -> tuple[Rig, Scene, LatencyRe
         raise SessionError(msg)
     rig = parse(header["rig"], Rig, source=f"{path}: rig")
     simulation = rig.simulation.model_copy(update={"faults": ()})
-    scene = parse(header.get("scene"), Scene, source=f"{path}: scene")
+    told = header.get("scene")
+    scene = None if told is None else parse(told, Scene, source=f"{path}: scene")
     kept = (header.get("calibration") or {}).get("projector_latency")
     latency = None if kept is None else parse(kept, LatencyRecord, source=f"{path}: calibration")
     return rig.model_copy(update={"simulation": simulation}), scene, latency

@@ -6,6 +6,7 @@ import importlib.util
 import os
 import platform
 import sys
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 
@@ -18,9 +19,13 @@ PACKAGES = ("labrig", "numpy", "scipy", "numba", "opencv-contrib-python-headless
 
 
 def examine(out: Path, rig: Rig | None = None) -> list[Finding]:
-    """Look at everything; nothing is changed, and no device is opened but to ask what it is."""
+    """Look at everything; nothing is changed, and no device is opened but to ask what it is.
+
+    Needed are Python, the packages, and the devices that ``rig`` names.
+    """
     found = [_python(), _tkinter(), _display(), *plugged_in(), disk(out), _versions()]
-    return found if rig is None else [*found, *of_rig(rig)]
+    of_this = [] if rig is None else [replace(finding, needed=True) for finding in of_rig(rig)]
+    return [*found, *of_this]
 
 
 def _python() -> Finding:
@@ -30,6 +35,7 @@ def _python() -> Finding:
         ok=sys.version_info >= (3, 11) and sys.platform == "linux",
         text=text,
         remedy="use Linux and Python 3.11 or newer",
+        needed=True,
     )
 
 
@@ -61,4 +67,4 @@ def _versions() -> Finding:
         except metadata.PackageNotFoundError:
             missing.append(package)
     text = ", ".join(lines) + (f"; missing: {', '.join(missing)}" if missing else "")
-    return Finding(name="versions", ok=not missing, text=text, remedy="make install")
+    return Finding(name="versions", ok=not missing, text=text, remedy="make install", needed=True)

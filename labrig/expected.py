@@ -66,7 +66,6 @@ def expect(scene: Scene, rig: Rig, plan: Plan) -> Observed:
                 depth_mm=tank.depth_mm,
                 wavenumber_per_mm=float(w),
                 angle_deg=beam.angle_deg,
-                n_theta=64 if abs(medium.g) < 0.7 else 128,
             )
             for w in q
         ]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import io
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from labrig.results import Result
 from labrig.views import Array, DecayView, Picture
 
 Draw = Callable[[Result], Figure]
+Drawn = Mapping[str, Figure]  # by name
 
 DPI = 150
 WIDTH_IN = 9.6

@@ -7,9 +7,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One thing looked at; ``remedy`` is the command or deed that mends it."""
+    """One thing looked at.
+
+    ``remedy`` is the command or deed that mends it; without what is ``needed`` the rig, or labrig
+    itself, does not run.
+    """
 
     name: str
     ok: bool
     text: str
     remedy: str = ""
+    needed: bool = False

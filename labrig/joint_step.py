@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from analysis.errors import AnalysisError
 from analysis.medium import Beam, Medium, Phase, Tank
-from analysis.phase_function import alike
 from analysis.spectrum import (
     Bins,
     StripeWave,
@@ -312,19 +311,10 @@ def _walls(tank: Tank, beam: Beam, observed: Observed) -> SideWalls:
 
 
 def _other(observed: Observed, fit: StripeAware, guess_per_mm: float) -> StripeAware | None:
-    """Fit the phase function that was not asked for; None where no such medium scatters alike."""
-    near = alike(fit.medium, "hg-paper" if fit.medium.phase == "hg-plane" else "hg-plane")
-    if near is None:
-        return None
-    loss = fit.losses
+    """Fit the phase function that was not asked for; None where no such medium explains it."""
+    phase: Phase = "hg-paper" if fit.medium.phase == "hg-plane" else "hg-plane"
     try:
-        return fit_stripe_aware(
-            observed,
-            sigma_t_per_mm=guess_per_mm,
-            phase=near.phase,
-            side_walls=lambda _: loss,
-            near=near,
-        )
+        return fit_stripe_aware(observed, sigma_t_per_mm=guess_per_mm, phase=phase, near=fit)
     except AnalysisError:
         return None
 

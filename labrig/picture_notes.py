@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence, Set
+from typing import Any
 
 from labrig.corrections import Corrections
 from labrig.models.plan import Shot
@@ -53,13 +54,30 @@ def notes_of(
     if "flat" in roles and known.flat is None:
         notes.append("Flat frames are in the session: make a record of them and name it.")
     notes += _lamp(session)
+    notes += _response(session)
     notes += _short_exposures(shots, known)
     return notes
 
 
+def _references(session: Session) -> list[dict[str, Any]]:
+    return [e["reference"] for e in session.events if isinstance(e.get("reference"), dict)]
+
+
+def _response(session: Session) -> list[str]:
+    """Return a note on a camera whose response nothing in the session has tested."""
+    ratios = [r["response_ratio"] for r in _references(session) if "response_ratio" in r]
+    if not ratios or any(ratio is not None for ratio in ratios):
+        return []
+    return [
+        "All frames have one exposure, and white light was too dark or too bright to be compared "
+        "with another one: that the camera answers as declared was not tested. Bracket exposures, "
+        "or make a camera record."
+    ]
+
+
 def _lamp(session: Session) -> list[str]:
     """Return a note on a projector whose light changed while its references were taken."""
-    told = [e["reference"] for e in session.events if isinstance(e.get("reference"), dict)]
+    told = _references(session)
     light_dn = [float(r["light_dn"]) for r in told if isinstance(r.get("light_dn"), int | float)]
     if not light_dn or min(light_dn) <= 0.0:
         return []

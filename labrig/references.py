@@ -17,12 +17,19 @@ from labrig.plan import CapturePlan
 from labrig.rig import OpenRig
 from labrig.sequence import MARGIN_S, Sequencer, Step
 
+BRIGHT, DARK = (0.25, 0.125, 0.0625, 0.03125), (4.0, 8.0, 16.0, 32.0)  # times the plan's exposure
+LONGEST_S = 5.0  # an exposure to test the response with
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measured:
-    """Mean counts of white and of black light; whether the lamp has changed since the last."""
+    """Mean counts of white and of black light; whether the lamp has changed since the last.
 
-    levels: dict[str, float]
+    Among the ``levels``, where white at two exposures is all that tells a bent response, stands
+    their ratio over that of the exposures: ``response_ratio``, None if it could not be had.
+    """
+
+    levels: dict[str, float | None]
     changed: bool
     text: str
 
@@ -88,18 +95,29 @@ class References:
 
     def measure(self, sequencer: Sequencer, cancel: CancelToken) -> Measured:
         """Take a white and a black frame, and compare them with the last ones."""
-        levels, notes = {}, []
+        levels: dict[str, float | None] = {}
+        notes = []
         testing = self._only_exposure and not self._tested
         if testing:
-            self._take_other_exposure(sequencer, cancel)
+            low_s, _ = self._rig.camera_can.exposure_range_s
+            other_s = self._exposure_s * (0.5 if 0.5 * self._exposure_s >= low_s else 2.0)
+            self._take_white(other_s, sequencer, cancel)
+        dn = {}
         for name in self._own:
             taken = sequencer.attempt(self._shot(name, self._exposure_s), cancel, again=False)
-            levels[f"{name}_dn"] = float(np.mean(taken.frame.pixels))
+            dn[name] = float(np.mean(taken.frame.pixels))
             if testing and name == "white":
-                self._tested = True
-                notes = [_tested(taken.details.get("bracket_ratio"))]
-        light_dn = levels["white_dn"] - levels["black_dn"]
-        levels["light_dn"] = light_dn
+                levels["response_ratio"] = taken.details.get("bracket_ratio")
+        light_dn = dn["white"] - dn["black"]
+        if testing and levels["response_ratio"] is None:
+            bright = dn["white"] > 0.5 * self._rig.camera_can.white_level_dn
+            levels["response_ratio"] = self._ratio_elsewhere(
+                BRIGHT if bright else DARK, sequencer, cancel
+            )
+        if testing:
+            self._tested = True
+            notes = [_tested(levels["response_ratio"])]
+        levels |= {**{f"{name}_dn": value for name, value in dn.items()}, "light_dn": light_dn}
         before_dn, self._light_dn = self._light_dn, light_dn
         if not before_dn:
             text = "; ".join([f"reference light {light_dn:.1f} DN", *notes])
@@ -110,18 +128,31 @@ class References:
         text = f"reference light {light_dn:.1f} DN, {100 * change:+.2f} % since the last one"
         return Measured(levels=levels, changed=changed, text="; ".join([text, *notes]))
 
-    def _take_other_exposure(self, sequencer: Sequencer, cancel: CancelToken) -> None:
-        """Take white at another exposure, where the plan has one: light must follow exposure.
+    def _ratio_elsewhere(
+        self, factors: Sequence[float], sequencer: Sequencer, cancel: CancelToken
+    ) -> float | None:
+        """Return the ratio of white at two other exposures, neither dark nor clipped."""
+        low_s, high_s = self._rig.camera_can.exposure_range_s
+        for factor in factors:
+            exposure_s = factor * self._exposure_s
+            if low_s <= exposure_s <= min(high_s, LONGEST_S):
+                details = self._take_white(exposure_s, sequencer, cancel)
+                if details.get("bracket_ratio") is not None:
+                    return float(details["bracket_ratio"])
+        return None
+
+    def _take_white(
+        self, exposure_s: float, sequencer: Sequencer, cancel: CancelToken
+    ) -> Mapping[str, Any]:
+        """Take white at an exposure that the plan has not: light must follow exposure.
 
         Nothing else in such a plan would tell a bent response from a linear one where stripes are
-        sharp. The white picture that comes next is refused if their ratio is off.
+        sharp. A white picture whose ratio to the one before is off is refused.
         """
-        low, _ = self._rig.camera_can.exposure_range_s
-        half_s, double_s = 0.5 * self._exposure_s, 2.0 * self._exposure_s
-        shot = self._shot("white", half_s if half_s >= low else double_s)
         self._tries += 1
+        shot = self._shot("white", exposure_s)
         shot = shot.model_copy(update={"id": f"response-white-{self._tries}"})
-        sequencer.attempt(shot, cancel, again=False)
+        return sequencer.attempt(shot, cancel, again=False).details
 
     def _shot(self, name: str, exposure_s: float) -> Shot:
         return Shot(

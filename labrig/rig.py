@@ -40,7 +40,7 @@ from labrig.real_devices import (
     make_projector,
     make_trigger,
 )
-from labrig.scene.filled import layered
+from labrig.scene.filled import layered, refuse_plan, tank_of
 from labrig.scene.picture import Picture, Truth
 from labrig.scene.pipeline import lamp_of, see, sensor_of
 from labrig.simulated_disk import SimulatedDisk
@@ -60,7 +60,7 @@ class OpenRig:
     """A rig whose devices are open. A context manager: leaving it turns the light off."""
 
     config: Rig
-    scene: Scene
+    scene: Scene | None
     camera: Camera
     projector: Projector
     trigger: Trigger
@@ -184,7 +184,7 @@ class OpenRig:
 
 def open_rig(
     rig: Rig,
-    scene: Scene,
+    scene: Scene | None,
     plan: Plan,
     *,
     latency: LatencyRecord | None = None,
@@ -194,7 +194,7 @@ def open_rig(
 
     Parameters
     ----------
-    scene : what a simulated rig looks at; of a real one its tank and beam alone matter
+    scene : what a simulated rig looks at; a real one needs none, but takes tank and beam from it
     latency : the projector's latency as it was last measured; else the rig file's own numbers
     progress : follows the Monte Carlo, which runs the first time a scene is seen
 
@@ -203,9 +203,15 @@ def open_rig(
     RunError, PlanError, DriverError
         If scene, rig and plan do not fit one another.
     """
-    scene = layered(scene, rig, plan)
+    if scene is None:
+        refuse_plan(plan, rig, tank_of(rig))
+    else:
+        scene = layered(scene, rig, plan)
     if not isinstance(rig.camera, SimulatedCameraConfig):
         return _connect_real(rig, scene, latency)
+    if scene is None:
+        msg = f"rig {rig.name!r} is simulated and looks at a scene: give one with --scene."
+        raise RunError(msg)
     seen = see(scene, rig, plan, progress=progress)
     return connect(rig, scene, seen.picture, latency, simulation=seen.summary())
 
@@ -261,7 +267,7 @@ def connect(
     )
 
 
-def _connect_real(rig: Rig, scene: Scene, latency: LatencyRecord | None) -> OpenRig:
+def _connect_real(rig: Rig, scene: Scene | None, latency: LatencyRecord | None) -> OpenRig:
     """Open the real devices of a rig."""
     if isinstance(rig.camera, SimulatedCameraConfig) or isinstance(
         rig.projector, SimulatedProjectorConfig

@@ -9,7 +9,7 @@ import numpy as np
 
 from labrig import views
 from labrig.catalogue import catalogue
-from labrig.report_page import parameter_rows, quality_rows, remarks
+from labrig.report_rows import parameter_rows, quality_rows, remarks
 from labrig.results import Result, read_results, value_of
 from labrig.shown import Array, Bounces, Decay, Extent, Image, Listed, Row, Shown
 

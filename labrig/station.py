@@ -29,7 +29,7 @@ from labrig.door import (
 from labrig.errors import LabrigError
 from labrig.live import Live, SilentError
 from labrig.models.plan import Plan, Shot
-from labrig.models.rig import Rig
+from labrig.models.rig import Rig, SimulatedCameraConfig
 from labrig.models.scene import Scene
 from labrig.plan import bracket_of, expand, stripes_of
 from labrig.probe import resolve
@@ -48,7 +48,7 @@ class Station:
 
     Parameters
     ----------
-    rig, scene, plan : files
+    rig, scene, plan : files; the scene is what a simulated rig looks at
     out : data root, below which sessions are made
     """
 
@@ -84,7 +84,9 @@ class Station:
         """Open the rig, or another one, and show its light."""
         self._files = (rig or self._files[0], scene or self._files[1])
         self._close()
-        config, tank = load(self._files[0], Rig), load(self._files[1], Scene)
+        config = load(self._files[0], Rig)
+        simulated = isinstance(config.camera, SimulatedCameraConfig)
+        seen = load(self._files[1], Scene) if simulated else None
         plan = self._need_plan()
         self._config = config
 
@@ -94,7 +96,7 @@ class Station:
         try:
             self._open(
                 open_rig(
-                    config, tank, plan, latency=latency_beside(self._files[0]), progress=follow
+                    config, seen, plan, latency=latency_beside(self._files[0]), progress=follow
                 )
             )
         except ERRORS as error:

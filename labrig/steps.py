@@ -335,7 +335,13 @@ def explain(
         inversion=found,
         multiple=multiple,
         grid=grid,
-        bounces=solve_on(known or medium, decay.beam, _resolving(grid, known), n_bounces=n_bounces),
+        bounces=solve_on(
+            known or medium,
+            decay.beam,
+            _resolving(grid, known),
+            n_bounces=n_bounces,
+            dtype=np.float32,  # as they are written
+        ),
         notes=tuple(notes) if known is None else (),
     )
 

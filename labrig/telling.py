@@ -92,13 +92,17 @@ def connected(rig: OpenRig) -> Connected:
     """Return what the window must know of a rig that is open."""
     config, can = rig.config, rig.camera_can
     camera, projector = rig.camera.identity, rig.projector.identity
-    geometry, beam = config.geometry, rig.scene.beam
+    geometry, scene = config.geometry, rig.scene
     rows = None
-    if geometry.mm_per_px is not None and geometry.lit_side in ("left", "right"):
+    if (
+        scene is not None
+        and geometry.mm_per_px is not None
+        and geometry.lit_side in ("left", "right")
+    ):
         top = geometry.region_px[1] if geometry.region_px else 0
         rows = (
-            top + beam.from_mm / geometry.mm_per_px,
-            top + beam.to_mm / geometry.mm_per_px,
+            top + scene.beam.from_mm / geometry.mm_per_px,
+            top + scene.beam.to_mm / geometry.mm_per_px,
         )
     shows = ["white", "stripes", "cycle", "black"]
     return Connected(

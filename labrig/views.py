@@ -13,6 +13,7 @@ from labrig.results import Result
 
 Array = NDArray[np.float64]
 
+UNKNOWN = "—"
 BEAM_MARGIN = 0.05  # share of the beam left out at each edge, as in the measured profiles
 LIT_SHARE = 0.08  # pictures on the solver's nodes are shown where they are as bright as this
 GLYPH_REACH = 0.47  # of the distance between sampling points

@@ -18,13 +18,35 @@ from numpy.typing import NDArray
 from analysis.errors import AnalysisError
 from analysis.light_field import equal_angles
 from analysis.medium import Medium, Phase
-from analysis.phase_function import Array, phase_function, scattering_moments
+from analysis.phase_function import Array, fourier_coefficients
 from analysis.transport.blas import BLAS
 
 ComplexArray = NDArray[np.complex128]
 
-NEGLIGIBLE = 1e-12  # moments of the phase function below this share of the first scatter nothing
 LARGEST_ALBEDO = 1.0 - 1e-9  # at one, two modes of uniform light are the same
+
+
+@dataclass(frozen=True, slots=True)
+class _Quadrant:
+    """Directions of one quadrant, by which all four are known, and what they scatter.
+
+    The moments of the phase function beyond those that the directions resolve are those of a
+    forward spike, and what a spike scatters is not scattered (Wiscombe 1977, delta-M).
+
+    Attributes
+    ----------
+    theta_rad, weight_rad : (n,)
+    even, odd : (n_orders, n), cos(m theta) and sin(m theta)
+    moment : (n_orders,), less the spike's
+    spike : part of the phase function that is forward
+    """
+
+    theta_rad: Array
+    weight_rad: Array
+    even: Array
+    odd: Array
+    moment: Array
+    spike: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +73,7 @@ def plane_light(
     wavenumber_per_mm: float = 0.0,
     angle_deg: float = 0.0,
     n_theta: int = 64,
+    equal_steps: bool = False,
 ) -> ComplexArray:
     """Return A(x; q), the fluence of all bounces of a beam that enters as exp(i q y), (n_x,).
 
@@ -66,7 +89,10 @@ def plane_light(
     ----------
     x_mm : depths, any order
     wavenumber_per_mm : q = 2 pi / period of the stripes; zero for uniform light
-    n_theta : directions at equal steps; stripes are resolved down to a depth of n_theta / q
+    n_theta : directions
+    equal_steps : by these, stripes are resolved down to a depth of about n_theta / q with the
+        fewest directions. Else the points of Gauss in every quadrant, which suit light that jumps
+        at 90 degrees, as all that is nearly uniform does near a wall
 
     Raises
     ------
@@ -77,74 +103,100 @@ def plane_light(
         msg = f"{n_theta} directions: a multiple of four from 16 on is needed."
         raise AnalysisError(msg)
     slant = math.radians(angle_deg)
-    sigma_t, q = medium.sigma_t_per_mm, wavenumber_per_mm
-    rate = (sigma_t + 1j * q * math.sin(slant)) / math.cos(slant)
+    q = wavenumber_per_mm
     turn = np.exp(1j * q * math.tan(slant) * x_mm)
     if medium.sigma_s_per_mm == 0.0:
-        return np.asarray(np.exp(-rate * x_mm) * turn)
+        return np.asarray(np.exp(-medium.sigma_t_per_mm * x_mm / math.cos(slant)) + 0j)
+    quadrant = _quadrant(medium.g, medium.phase, n_theta, equal_steps)
+    sigma_s = min(medium.sigma_s_per_mm, LARGEST_ALBEDO * medium.sigma_t_per_mm)
+    sigma_t = medium.sigma_t_per_mm - sigma_s * quadrant.spike
+    rate = (sigma_t + 1j * q * math.sin(slant)) / math.cos(slant)
     with BLAS.limit(limits=1):
-        same, cross, cos_t, from_beam = _operator(medium, q, slant, n_theta)
+        same, cross = _operator(quadrant, sigma_t, sigma_s, q)
+        from_beam = _source(quadrant, sigma_s, slant)
+        n = quadrant.theta_rad.size
+        if q == 0.0:  # even and odd light do not mix, and the fluence is even
+            same, cross, from_beam = same[:n, :n], cross[:n, :n], from_beam[:, :n]
+        cos_t = np.resize(np.cos(quadrant.theta_rad), same.shape[0])
         together, apart = same + cross, same - cross
         inverse = np.asarray(np.linalg.inv(together), dtype=np.float64)
         modes = _decaying_modes(together, apart, inverse, cos_t)
         forward, backward = _following_the_beam(apart, inverse, cos_t, rate, from_beam)
         rising, falling = _matched(modes, forward, backward, rate, depth_mm)
         # The fluence is the even light of all directions; each stands for two.
-        half = cos_t.size // 2
-        seen = 2.0 * (2.0 * np.pi / n_theta)
-        of_mode = seen * (modes.forward + modes.backward)[:half].sum(axis=0)
-        of_beam = 1.0 + seen * (forward + backward)[:half].sum()
+        seen = 2.0 * quadrant.weight_rad
+        of_mode = seen @ (modes.forward + modes.backward)[:n]
+        of_beam = 1.0 + seen @ (forward + backward)[:n]
         decay = np.exp(-np.outer(x_mm, modes.rate)) * of_mode
         growth = np.exp(-np.outer(depth_mm - x_mm, modes.rate)) * of_mode
         light = of_beam * np.exp(-rate * x_mm) + decay @ falling + growth @ rising
     return np.asarray(light * turn)
 
 
-def _operator(
-    medium: Medium, q: float, slant: float, n_theta: int
-) -> tuple[Array, Array, Array, tuple[ComplexArray, ComplexArray]]:
-    """Return what removes and scatters light, and what the beam scatters into it.
-
-    (m, m) within a hemisphere and across, m = n_theta / 2; cos(theta) (m,); the source of the
-    forward and of the backward hemisphere (m,), each the even light of a quadrant, then the odd.
-    """
-    theta, within, over = _scattering(medium.g, medium.phase, n_theta)
-    sigma_s, n = min(medium.sigma_s_per_mm, LARGEST_ALBEDO * medium.sigma_t_per_mm), theta.size
-    same, cross = -sigma_s * within, sigma_s * over
-    same[np.diag_indices(2 * n)] += medium.sigma_t_per_mm
-    across = np.diag(q * np.sin(theta))
-    same[:n, n:] -= across
-    same[n:, :n] += across
-
-    def source(of: Array) -> ComplexArray:
-        above = sigma_s * phase_function(of - slant, medium.g, medium.phase)
-        below = sigma_s * phase_function(-of - slant, medium.g, medium.phase)
-        return np.concatenate([0.5 * (above + below), -0.5j * (above - below)])
-
-    return same, cross, np.tile(np.cos(theta), 2), (source(theta), source(np.pi - theta))
-
-
 @lru_cache(maxsize=8)  # one medium is asked for at several wavenumbers
-def _scattering(g: float, phase: Phase, n_theta: int) -> tuple[Array, Array, Array]:
-    """Return the angles of a quadrant (n,), what is scattered within a hemisphere, and across.
-
-    The matrices are (2 n, 2 n), of the even light, then the odd, for a coefficient of one.
-    """
-    theta = equal_angles(n_theta)[: n_theta // 4]  # 0 .. pi/2
-    basis, weights = scattering_moments(
-        g,
-        phase,
-        np.concatenate([theta, -theta, np.pi - theta, theta - np.pi]),
-        n_orders=n_theta // 2,
-        negligible=NEGLIGIBLE,
+def _quadrant(g: float, phase: Phase, n_theta: int, equal_steps: bool) -> _Quadrant:
+    n = n_theta // 4
+    if equal_steps:
+        theta, weight, n_orders = (
+            equal_angles(n_theta)[:n],
+            np.full(n, 2.0 * np.pi / n_theta),
+            2 * n,
+        )
+    else:
+        point, share = np.polynomial.legendre.leggauss(n)
+        theta, weight = 0.25 * np.pi * (point + 1.0), 0.25 * np.pi * share
+        n_orders = 3 * n // 2  # more, they do not tell apart
+    moment = fourier_coefficients(g, phase, n_orders + 1)
+    spike = float(moment[-1]) if g > 0.0 else 0.0
+    m = np.arange(n_orders)[:, None]
+    return _Quadrant(
+        theta, weight, np.cos(m * theta), np.sin(m * theta), moment[:-1] - spike, spike
     )
-    n = theta.size
-    rows = basis[:, :n].T * (weights * (2.0 * np.pi / n_theta))
-    up, down, up_back, down_back = (rows @ basis[:, k * n : (k + 1) * n] for k in range(4))
-    within, over = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
-    within[:n, :n], within[n:, n:] = up + down, up - down
-    over[:n, :n], over[n:, n:] = up_back + down_back, up_back - down_back
-    return theta, within, over
+
+
+def _weights(quadrant: _Quadrant, sigma_s: float) -> Array:
+    """Return how strongly light of each moment is scattered, (n_orders,)."""
+    weight = quadrant.moment * (sigma_s / np.pi)
+    weight[0] *= 0.5
+    return np.asarray(weight)
+
+
+def _operator(quadrant: _Quadrant, sigma_t: float, sigma_s: float, q: float) -> tuple[Array, Array]:
+    """Return what removes and scatters light within a hemisphere, and across, (2 n, 2 n).
+
+    First the even light of a quadrant, then the odd.
+    """
+    n, even, odd = quadrant.theta_rad.size, quadrant.even, quadrant.odd
+    seen = 2.0 * quadrant.weight_rad
+    weight = _weights(quadrant, sigma_s)
+    turned = weight * (-1.0) ** np.arange(weight.size)  # cos(m (pi - theta))
+    same, cross = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
+    within, over = (even.T * weight) @ even * seen, (even.T * turned) @ even * seen
+    # What the quadrature loses of the scattered light stays in its direction.
+    lost = (
+        sigma_s * quadrant.moment[0] - quadrant.weight_rad @ (within + over) / quadrant.weight_rad
+    )
+    same[:n, :n], same[n:, n:] = -within, -(odd.T * weight) @ odd * seen
+    cross[:n, :n], cross[n:, n:] = over, -(odd.T * turned) @ odd * seen
+    same[np.diag_indices(2 * n)] += sigma_t - np.tile(lost, 2)
+    across = q * np.sin(quadrant.theta_rad)
+    same[np.arange(n), np.arange(n, 2 * n)] -= across
+    same[np.arange(n, 2 * n), np.arange(n)] += across
+    return same, cross
+
+
+def _source(quadrant: _Quadrant, sigma_s: float, slant: float) -> ComplexArray:
+    """Return what the beam scatters into the forward and the backward hemisphere, (2, 2 n)."""
+    m = np.arange(quadrant.moment.size)
+    turned = (-1.0) ** m
+    even = _weights(quadrant, sigma_s) * np.cos(m * slant)
+    odd = -1j * _weights(quadrant, sigma_s) * np.sin(m * slant)
+    return np.stack(
+        [
+            np.concatenate([even @ quadrant.even, odd @ quadrant.odd]),
+            np.concatenate([(even * turned) @ quadrant.even, -(odd * turned) @ quadrant.odd]),
+        ]
+    )
 
 
 def _decaying_modes(together: Array, apart: Array, inverse: Array, cos_t: Array) -> _Modes:
@@ -162,7 +214,7 @@ def _following_the_beam(
     inverse: Array,
     cos_t: Array,
     rate: complex,
-    source: tuple[ComplexArray, ComplexArray],
+    source: ComplexArray,
 ) -> tuple[ComplexArray, ComplexArray]:
     """Return the light that decays as the beam does, which the beam feeds, (m,) each way.
 

@@ -58,11 +58,12 @@ def analyse(
 
 def report(
     session: Annotated[Path, typer.Argument(help="Session or results folder.")],
+    beside: Annotated[Path | None, typer.Option(help="A second one, to show side by side.")] = None,
     out: Out = None,
     as_json: AsJson = False,
 ) -> None:
     """Write figures and a self-contained HTML page of a session's newest results."""
-    page = labrig.report(session, out)
+    page = labrig.report(session, out, beside=beside)
     if as_json:
         say_json({"report": str(page)})
     else:

@@ -23,7 +23,7 @@ _FLIPS = Plan(
 
 def latency(
     rig: Annotated[Path, typer.Option(help="Rig file.")],
-    scene: Annotated[Path, typer.Option(help="Scene file, for a simulated rig.")],
+    scene: Annotated[Path | None, typer.Option(help="Scene file, for a simulated rig.")] = None,
     flips: Annotated[int, typer.Option(min=10, help="Flips between black and white.")] = N_FLIPS,
     out: Annotated[Path | None, typer.Option("--out", help="Record; else beside the rig.")] = None,
     as_json: AsJson = False,

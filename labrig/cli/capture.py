@@ -20,7 +20,7 @@ from labrig.cli.say import AsJson, bars, one, out_console, say, say_json, say_se
 def capture(
     plan: Annotated[Path, typer.Argument(help="Plan file.")],
     rig: Annotated[Path, typer.Option(help="Rig file.")],
-    scene: Annotated[Path, typer.Option(help="Scene file, for a simulated rig.")],
+    scene: Annotated[Path | None, typer.Option(help="Scene file, for a simulated rig.")] = None,
     out: Annotated[Path, typer.Option("--out", help="Data root.")] = Path("sessions"),
     operator: Annotated[str | None, typer.Option(help="Who captures; kept in the session.")] = None,
     as_json: AsJson = False,

@@ -13,7 +13,6 @@ import labrig
 from labrig.cli.exits import EXIT_BAD_INPUT
 from labrig.cli.say import AsJson, bars, one, out_console, say, say_json
 from labrig.config import latency_beside
-from labrig.errors import ConfigError
 from labrig.estimate import Seconds, estimate
 from labrig.plan import CapturePlan, expand
 from labrig.preflight import Verdict, check_all
@@ -23,7 +22,9 @@ from labrig.probe import Probed, probe, resolve
 def check(
     plan: Annotated[Path, typer.Argument(help="Plan file.")],
     rig: Annotated[Path, typer.Option(help="Rig file.")],
-    scene: Annotated[Path | None, typer.Option(help="Scene file, for --probe.")] = None,
+    scene: Annotated[
+        Path | None, typer.Option(help="Scene file, to --probe a simulated rig.")
+    ] = None,
     out: Annotated[Path, typer.Option("--out", help="Data root.")] = Path("sessions"),
     probing: Annotated[
         bool, typer.Option("--probe", help="Open the devices, take a test frame per bracket.")
@@ -34,9 +35,6 @@ def check(
     wanted, config = labrig.load_plan(plan), labrig.load_rig(rig)
     probed: list[Probed] = []
     if probing:
-        if scene is None:
-            msg = "--probe opens the simulated rig, which looks at a scene: give --scene."
-            raise ConfigError(msg)
         with (
             bars() as follow,
             labrig.open_rig(rig, scene, wanted, progress=one(follow, "light")) as opened,

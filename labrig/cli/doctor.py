@@ -10,6 +10,7 @@ import typer
 
 import labrig
 from labrig import udev
+from labrig.cli.exits import EXIT_DEVICE
 from labrig.cli.say import AsJson, say, say_json
 from labrig.doctor import examine
 
@@ -21,20 +22,25 @@ def doctor(
         bool, typer.Option("--fix-udev", help="Install the rules that open devices to users.")
     ] = False,
     as_json: AsJson = False,
-) -> None:
-    """Say what is present, missing or misconfigured, and the command that mends it."""
+) -> int:
+    """Say what is present, missing or misconfigured, and the command that mends it.
+
+    The exit code is 4 if a device of the rig, or a package, is missing.
+    """
     if fix_udev:
         say(f"{udev.INSTALLED} would hold:\n\n{udev.rules()}")
         if typer.confirm("Install these rules?"):
             udev.install()
         else:
             say("Nothing was installed.")
-        return
+        return 0
     found = examine(out, None if rig is None else labrig.load_rig(rig))
+    code = EXIT_DEVICE if any(f.needed and not f.ok for f in found) else 0
     if as_json:
         say_json([asdict(finding) for finding in found])
-        return
+        return code
     for finding in found:
         say(f"{'ok' if finding.ok else 'missing':8}{finding.name}: {finding.text}")
         if not finding.ok and finding.remedy:
             say(f"{'':8}  to mend: {finding.remedy}")
+    return code

@@ -6,7 +6,7 @@ from labrig.errors import PlanError
 from labrig.models.plan import Plan
 from labrig.models.rig import Rig
 from labrig.models.scene import Scene
-from labrig.models.setup import refuse_unseen
+from labrig.models.setup import BeamConfig, TankConfig, refuse_unseen
 from labrig.plan import kinds_of_stripes
 
 
@@ -31,13 +31,44 @@ def layered(scene: Scene, rig: Rig, plan: Plan) -> Scene:
         told_tank = {"height_mm": of_rig.height_mm, "surface_index": of_rig.surface_index}
         tank = scene.tank.model_copy(update=told_tank)
         scene = scene.model_copy(update={"tank": tank})
+    refuse_plan(plan, rig, scene.tank, scene.beam_inside())
+    return scene
+
+
+def refuse_plan(
+    plan: Plan, rig: Rig, tank: TankConfig | None, beam: BeamConfig | None = None
+) -> None:
+    """Refuse stripes that the camera cannot tell apart, and layers that no model is made for.
+
+    Raises
+    ------
+    PlanError
+        With one line that says what to do.
+    """
     periods_px = [stripes.period_px for stripes in kinds_of_stripes(plan)]
     try:
-        refuse_unseen(scene.tank, scene.beam_inside(), rig.projection, rig.geometry, periods_px)
+        refuse_unseen(tank, beam, rig.projection, rig.geometry, periods_px)
     except ValueError as error:
         msg = f"{error}."
         raise PlanError(msg) from error
-    return scene
+
+
+def tank_of(rig: Rig) -> TankConfig | None:
+    """Return the tank of a rig that knows how high its liquid stands: what its region shows of it.
+
+    None where the analysis may take the tank from the picture.
+    """
+    geometry, layer = rig.geometry, rig.tank
+    if layer is None or geometry.mm_per_px is None:
+        return None
+    _, _, *shape = geometry.region_px or (0, 0, rig.camera.cols, rig.camera.rows)
+    depth_px, width_px = shape if geometry.lit_side in ("left", "right") else shape[::-1]
+    return TankConfig(
+        depth_mm=depth_px * geometry.mm_per_px,
+        width_mm=width_px * geometry.mm_per_px,
+        height_mm=layer.height_mm,
+        surface_index=layer.surface_index,
+    )
 
 
 def refuse_layer(scene: Scene, what: str) -> None:

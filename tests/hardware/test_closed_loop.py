@@ -126,7 +126,7 @@ def test_a_session_captured_in_closed_loop_is_analysed_to_the_true_parameters(be
 def test_a_session_of_real_devices_is_resumed_by_the_rig_it_keeps(bench, tmp_path, command):
     paths, server = bench
     plan = labrig.load_plan(paths["plan"])
-    with labrig.open_rig(paths["rig"], paths["scene"], plan) as rig:
+    with labrig.open_rig(paths["rig"], None, plan) as rig:  # a real rig looks at no scene
         runner = prepare(plan, rig, tmp_path / "sessions")
         runner.subscribe(
             lambda e: e.status.shot == "white-e0-r0" and runner.post(Command.ABORT_AFTER_GROUP)
@@ -153,3 +153,10 @@ def test_a_session_of_real_devices_is_resumed_by_the_rig_it_keeps(bench, tmp_pat
     assert {segments[shot] for shot in before} == {1}
     assert {segments[shot] for shot in segments.keys() - before} == {2}
     assert server.await_black(within_s=1.0)
+    # tank and beam are measured in the picture
+    assert session.header["scene"] is None
+    found = labrig.analyse(path).run
+    # measured -0.22 %, +0.16 % and -0.010
+    assert found["sigma_t_per_mm"]["value"] == pytest.approx(0.3, rel=0.004)
+    assert found["sigma_s_per_mm"]["value"] == pytest.approx(0.15, rel=0.005)
+    assert found["g"]["value"] == pytest.approx(0.3, abs=0.015)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import toy
 
+import labrig
 from drivers.camera.protocol import CameraSettings
 from drivers.errors import NoFrameError
 from drivers.simulation.clock import VirtualClock
@@ -133,6 +134,17 @@ def test_doctor_names_what_is_missing_and_the_remedy(command, small_rig, tmp_pat
     assert list(tmp_path.iterdir()) == []
 
 
+def test_doctor_fails_where_a_device_of_the_rig_is_missing(command, tmp_path) -> None:
+    bench = (labrig.config_folder() / "rigs" / "bench.yaml").read_text(encoding="utf-8")
+    rig = tmp_path / "bench.yaml"
+    rig.write_text(bench, encoding="utf-8")
+    said = command("doctor", "--rig", rig, "--out", tmp_path)
+    assert said.code == 4
+    assert "to mend: plug it in" in said.out
+    # what no rig needs may be missing
+    assert command("doctor", "--out", tmp_path).code == 0
+
+
 def test_reading_a_session_leaves_it_as_it_was(command, session_copy: Path) -> None:
     """R13 without a mount: what never writes can be done on read-only media."""
 
@@ -206,3 +218,11 @@ def test_recorded_session_is_a_camera(tmp_path: Path) -> None:
     with pytest.raises(NoFrameError, match="no frame left"):
         camera.collect(deadline_s=1.0, cancel=never)
     camera.close()
+
+
+def test_simulated_rig_needs_a_scene(command, small_rig, small_plan, tmp_path) -> None:
+    said = command("capture", small_plan, "--rig", small_rig, "--out", tmp_path)
+    assert said.code != 0
+    assert "is simulated and looks at a scene: give one with --scene" in said.err
+    assert len(said.err.strip().splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from labrig.beside_page import write_beside
 from labrig.errors import RunError
 from labrig.report_page import CAPTIONS, render, write_report
 from labrig.results import Field, Result, read_results, write_results
@@ -308,3 +309,29 @@ def test_a_run_of_unknown_scale_gives_parameters_per_px(tmp_path: Path) -> None:
 
 def test_a_run_that_tells_almost_nothing_is_reported(tmp_path: Path) -> None:
     Addresses(page_of(tmp_path, {"length_unit": "mm"}))
+
+
+def test_two_results_stand_side_by_side(tmp_path: Path) -> None:
+    aslant = changed(
+        sigma_t_per_mm={"value": 0.20596, "std": 0.0004, "model_std": 0.0},
+        notes=["The beam was measured."],
+    )
+    del aslant["g"]
+    first = result_of(tmp_path / "straight", changed())
+    page_path = write_beside(first, result_of(tmp_path / "aslant", aslant))
+    assert page_path == first.path / "beside.html"
+    page = page_path.read_text(encoding="utf-8")
+    assert len(Addresses(page).found) == 2
+    cells = row_of(page, "extinction")
+    # 0.0012 apart, hypot(0.00031, 0.0004) = 0.000506
+    assert cells[2:] == ["0.2048 ± 0.0003", "0.2060 ± 0.0004", "mm⁻¹", "+0.0012, 2.4 std"]
+    assert row_of(page, "asymmetry")[3:] == ["—", "1", "—"]
+    assert "The beam was measured." in text_of(page)
+    files = {path.name for path in (page_path.parent / "figures").iterdir()}
+    assert files == {f"separation-{n}.{kind}" for n in (1, 2) for kind in ("png", "pdf")}
+
+
+def test_results_in_different_units_are_not_compared(tmp_path: Path) -> None:
+    other = result_of(tmp_path / "px", stopped_after_separation(), "px")
+    with pytest.raises(RunError, match=r"is in mm, .* in px: give both sessions a geometry record"):
+        write_beside(result_of(tmp_path / "mm", changed()), other)
