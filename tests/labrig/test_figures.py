@@ -240,7 +240,8 @@ def drawn(milk: Result) -> dict[str, Figure]:
 
 
 def test_a_full_run_has_every_figure_with_units_on_its_axes(drawn: dict[str, Figure]) -> None:
-    assert list(drawn) == list(figure_set.FIGURES)
+    # a layer has a figure of its own, which is in labrig/test_layer.py
+    assert list(drawn) == [name for name in figure_set.FIGURES if name != "layer"]
     expected = {
         "separation": {"depth x (mm)", "y (mm)", "counts/s, square-root scale"},
         "closure": {
