@@ -45,7 +45,8 @@ torture: install  ## 500 kills at random moments, 10 000 fuzzed files, the power
 	    -k "kills_at_random or one_line or r4"
 
 figures: install  ## the pictures of the README, from a run of the demo and of labrig accuracy
-	@rm -rf build/figures && $(BIN)/labrig demo --out build/figures >/dev/null
+	@rm -rf build/figures && $(BIN)/labrig demo --scene configs/scenes/dilute-milk.yaml \
+	    --out build/figures >/dev/null
 	@mkdir -p docs/images && cp build/figures/*/*/results/*/figures/attenuation.png \
 	    build/figures/*/*/results/*/figures/light-field.png docs/images/
 	@$(BIN)/labrig accuracy solver configs/scenes/dilute-milk.yaml --out build/figures/accuracy

@@ -158,9 +158,12 @@ def _chosen(
 
 
 def _rising(profile: DepthProfile) -> NDArray[np.bool_]:
-    """Return where light exceeds, significantly, what it has been ``GLARE_DEPTHS`` before."""
+    """Return where light exceeds, significantly, what it has been ``GLARE_DEPTHS`` before.
+
+    Behind its maximum only: in a layer, light first rises where it is scattered sharply forward.
+    """
     before = np.roll(profile.value, GLARE_DEPTHS)
     noise = np.hypot(profile.std, np.roll(profile.std, GLARE_DEPTHS))
     found = profile.value > 1.02 * before + SIGNAL_SNR * noise
-    found[:GLARE_DEPTHS] = False
+    found[: GLARE_DEPTHS + int(np.nanargmax(profile.value))] = False
     return np.asarray(found)

@@ -27,12 +27,12 @@ Orders = Callable[[float, float], list[Array]]
 Contrasts = Callable[[float, float, float], tuple[Array, Array]]
 
 TABLES: tuple[Choice, ...] = (  # range of g, of sigma_t over the decay, fineness, nodes
-    ((-0.4, 0.6), (0.9, 1.35), 0.55, (3, 4)),
-    ((0.5, 0.82), (0.9, 1.5), 0.55, (4, 4)),
-    ((0.75, 0.96), (1.0, 2.1), 0.6, (4, 4)),
+    ((-0.4, 0.6), (0.9, 1.35), 0.45, (3, 4)),
+    ((0.5, 0.82), (0.9, 1.5), 0.45, (3, 4)),
+    ((0.75, 0.96), (1.0, 2.1), 0.5, (4, 4)),
 )
-MEDIUM = 0.75  # fineness at which derivatives are taken
-FINE, FINER = 1.2, 0.5  # of the last solutions: at g = 0, and how much more where g is one
+MEDIUM = 0.65  # fineness at which derivatives are taken
+FINE, FINER = 1.1, 0.5  # of the last solutions: at g = 0, and how much more where g is one
 COARSE_TAIL = 1e-3
 APPROACHES, CORRECTIONS = 6, 4
 STEPS = (0.01, 0.01)  # of the derivatives: relative in sigma_t, and in g

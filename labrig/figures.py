@@ -1,15 +1,9 @@
-"""Draws results: pure functions from a result to a figure, after Figs. 10 to 13 of the paper.
-
-The only door to matplotlib; without pyplot, so that nothing stays open or needs a window.
-"""
+"""Draws results: pure functions from a result to a figure, after Figs. 10 to 13 of the paper."""
 
 from __future__ import annotations
 
 import functools
-import io
-import math
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,33 +12,35 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize, PowerNorm
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from labrig import views
 from labrig.costs import Costs, Run
+from labrig.drawing import (
+    BAD,
+    BLUE,
+    GREEN,
+    INK,
+    ORANGE,
+    ORDERS,
+    PURPLE,
+    RED,
+    SKY,
+    STYLE,
+    WIDTH_IN,
+    bar,
+    logarithmic,
+    show,
+    side_by_side,
+)
 from labrig.results import Result
 from labrig.views import Array, DecayView, Picture
 
 Draw = Callable[[Result], Figure]
-Drawn = Mapping[str, Figure]  # by name
 
-DPI = 150
-WIDTH_IN = 9.6
 DISPLAY_PX = 640  # the longer side of a picture in a figure; more is not seen
 CLOSURE_PX = 160  # averaged further: a bias shows only below the noise of a pixel
 
-# Okabe and Ito's colours, told apart by every kind of colour vision
-BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
-PURPLE, SKY, INK = "#CC79A7", "#56B4E9", "#1b1f24"
-ORDERS = (
-    (BLUE, "-", "o"),
-    (ORANGE, (0, (6, 1.5)), "s"),
-    (GREEN, (0, (4, 1.2, 1, 1.2)), "^"),
-    (RED, (0, (3, 1.2)), "D"),
-    (PURPLE, (0, (5, 1, 1, 1, 1, 1)), "v"),
-    (SKY, (0, (1.2, 1)), "P"),
-)
 METHODS = {  # of the cost of accuracy: colour, marker and its size
     "exhaustive without self cell": (PURPLE, "v", 6.5),
     "exhaustive with self cell": (ORANGE, "^", 6.5),
@@ -54,26 +50,6 @@ METHODS = {  # of the cost of accuracy: colour, marker and its size
 }
 CROSS = "#ff7a66"  # a red that is bright enough for the dark end of cividis
 FAINTEST = 1e-6  # of all the light: bounces below are not drawn
-BAD = "#dfe3e7"  # where a picture holds nothing
-
-STYLE = {
-    "font.family": "DejaVu Sans",
-    "font.size": 9.0,
-    "axes.titlesize": 10.5,
-    "axes.titlelocation": "left",
-    "axes.labelsize": 9.5,
-    "axes.edgecolor": "#6b727a",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "xtick.color": "#4a5159",
-    "ytick.color": "#4a5159",
-    "text.color": INK,
-    "axes.labelcolor": INK,
-    "legend.frameon": False,
-    "lines.linewidth": 1.7,
-    "figure.dpi": DPI,
-    "figure.facecolor": "white",
-}
 
 
 def _styled(draw: Draw) -> Draw:
@@ -97,11 +73,11 @@ def separation_figure(result: Result) -> Figure:
     # the square root shows the weak light beside the beam, which a linear scale swallows
     top = max(views.brightest(picture.values) for picture in pictures)
     norm = PowerNorm(0.5, 0.0, top, clip=True)
-    figure, panels = _panels(pictures[0], 3, bars=(False, False, True))
+    figure, panels = side_by_side(pictures[0], 3, bars=(False, False, True))
     for panel, picture, title in zip(panels, pictures, names.values(), strict=True):
-        image = _show(panel, picture, norm)
+        image = show(panel, picture, norm)
         panel.set_title(title)
-    _bar(figure, panels[-1], image, "counts/s, square-root scale", ticks=views.root_ticks(top))
+    bar(figure, panels[-1], image, "counts/s, square-root scale", ticks=views.root_ticks(top))
     return figure
 
 
@@ -120,7 +96,7 @@ def closure_figure(result: Result) -> Figure:
         where.text(0.5, 0.5, "no pixel is bright enough", ha="center", transform=where.transAxes)
         return figure
     shown = Picture(values=100.0 * part.values, y=part.y, x=part.x, unit=part.unit)
-    image = _show(where, shown)
+    image = show(where, shown)
     figure.colorbar(image, ax=where, label="closure (%)", extend="both", pad=0.02, shrink=0.9)
     _histogram(spread, percent)
     return figure
@@ -160,7 +136,7 @@ def bounces_figure(result: Result) -> Figure:
     light.plot(depth, views.positive(total), color=INK, linewidth=1.1, label="sum of all bounces")
     _draw_white(light, result)
     light.set_xlim(0.0, depth[total >= 4e-3 * brightest][-1])
-    _logarithmic(light, lowest, 1.6 * brightest)
+    logarithmic(light, lowest, 1.6 * brightest)
     light.set(title="(a) light of each bounce", ylabel="light (counts/s)")
     shape.set(title="(b) each relative to its peak", ylabel="light / its peak", ylim=(0.0, 1.05))
     for panel in (light, shape):
@@ -179,11 +155,11 @@ def light_field_figure(result: Result) -> Figure:
     parts = [picture.around(lit) for picture in pictures]
     left, right, bottom, top = parts[0].extent
     pitch = min(right - left, bottom - top) / 5.0
-    figure, panels = _panels(parts[0], len(shown), bars=(True, True), foot_in=0.32)
+    figure, panels = side_by_side(parts[0], len(shown), bars=(True, True), foot_in=0.32)
     for panel, k, part in zip(panels, shown, parts, strict=True):
-        image = _show(panel, part, Normalize(0.0, views.brightest(part.values)))
+        image = show(panel, part, Normalize(0.0, views.brightest(part.values)))
         image.set_interpolation("bilinear")
-        _bar(figure, panel, image, "light (counts/s)", ticks=MaxNLocator(5))
+        bar(figure, panel, image, "light (counts/s)", ticks=MaxNLocator(5))
         panel.set_title(f"bounce {k}: mean cosine to the beam {views.mean_cosine(result, k):.2f}")
         _draw_glyphs(panel, *views.glyphs(result, k, part, pitch))
         panel.set(xlim=(left, right), ylim=(bottom, top))
@@ -220,10 +196,10 @@ def _explained(result: Result, names: tuple[str, str], titles: tuple[str, str, s
     measured, explained, rest = (picture.around(lit) for picture in pictures)
     top = max(views.brightest(picture.values) for picture in (measured, explained))
     norm = Normalize(0.0, top)
-    figure, panels = _panels(measured, 3, bars=(False, True, True))
-    _show(panels[0], measured, norm)
-    _bar(figure, panels[1], _show(panels[1], explained, norm), "light (counts/s)")
-    _bar(figure, panels[2], _show(panels[2], rest), "light (counts/s)", extend="both")
+    figure, panels = side_by_side(measured, 3, bars=(False, True, True))
+    show(panels[0], measured, norm)
+    bar(figure, panels[1], show(panels[1], explained, norm), "light (counts/s)")
+    bar(figure, panels[2], show(panels[2], rest), "light (counts/s)", extend="both")
     for panel, title in zip(panels, titles, strict=True):
         panel.set_title(title)
     return figure
@@ -249,7 +225,7 @@ def cost_figure(costs: Costs) -> Figure:
             across = panel.get_yaxis_transform()
             panel.text(0.0, 1.08 * tolerance, text, color=RED, transform=across)
         errors, times = ([getattr(run, name) for run in costs.runs] for name in ("error", "cpu_s"))
-        _logarithmic(panel, 0.5 * min(errors), 1.6 * max(errors))
+        logarithmic(panel, 0.5 * min(errors), 1.6 * max(errors))
         known: dict[str, Any] = {
             "color": BAD,
             "lw": 0,
@@ -269,94 +245,6 @@ def _draw_runs(panel: Axes, runs: list[Run], look: str, **looks: Any) -> None:
     if runs:
         looks = {"label": runs[0].method, **looks}
         panel.plot([run.cpu_s for run in runs], [run.error for run in runs], look, **looks)
-
-
-def save(figure: Figure, stem: Path) -> bytes:
-    """Write a figure as ``stem.png`` and ``stem.pdf``; return the PNG's bytes."""
-    picture = png_bytes(figure)
-    stem.with_name(f"{stem.name}.png").write_bytes(picture)
-    with rc_context(STYLE):
-        # without a date the same result gives the same file
-        figure.savefig(stem.with_name(f"{stem.name}.pdf"), metadata={"CreationDate": None})
-    return picture
-
-
-def png_bytes(figure: Figure) -> bytes:
-    """Return a figure as a PNG file's bytes."""
-    buffer = io.BytesIO()
-    with rc_context(STYLE):
-        _settle(figure)
-        figure.savefig(buffer, format="png", dpi=DPI, pil_kwargs={"compress_level": 4})
-    return buffer.getvalue()
-
-
-def _settle(figure: Figure) -> None:
-    """Lay a figure out once: to do it for each of its files takes longer than to draw them."""
-    if engine := figure.get_layout_engine():
-        engine.execute(figure)
-        figure.set_layout_engine(None)
-
-
-def _panels(
-    like: Picture, n: int, *, bars: tuple[bool, ...], foot_in: float = 0.0
-) -> tuple[Figure, list[Axes]]:
-    """Return a figure with n panels of the shape of a picture, with the axes' units.
-
-    Their places are reckoned here: a layout engine takes as long as all the drawing.
-
-    Parameters
-    ----------
-    bars : of each column, whether a colour bar stands right of it
-    foot_in : room for a legend, inches
-    """
-    columns, room = len(bars), [1.15 if bar else 0.28 for bar in bars]
-    free = WIDTH_IN - 0.75 - sum(room)
-    width = min(free / columns, 6.0 / like.aspect)
-    high = width * like.aspect
-    height = math.ceil(n / columns) * (high + 0.4) + 0.5 + foot_in
-    figure = Figure(figsize=(WIDTH_IN, height))
-    panels: list[Axes] = []
-    for index in range(n):
-        row, column = divmod(index, columns)
-        x = 0.75 + 0.5 * (free - columns * width) + column * width + sum(room[:column])
-        y = height - (row + 1) * (high + 0.4)
-        place = (x / WIDTH_IN, y / height, width / WIDTH_IN, high / height)
-        first = panels[0] if panels else None
-        panel = figure.add_axes(place, sharex=first, sharey=first)
-        lowest = index + columns >= n
-        panel.tick_params(labelleft=column == 0, labelbottom=lowest)
-        panel.set_xlabel(f"depth x ({like.unit})" if lowest else "")
-        panel.set_ylabel(f"y ({like.unit})" if column == 0 else "")
-        panels.append(panel)
-    return figure, panels
-
-
-def _bar(figure: Figure, panel: Axes, image: AxesImage, label: str, **looks: Any) -> None:
-    """Put a colour bar of the panel's height right of it."""
-    place = panel.get_position()
-    beside = figure.add_axes((place.x1 + 0.1 / WIDTH_IN, place.y0, 0.14 / WIDTH_IN, place.height))
-    figure.colorbar(image, cax=beside, label=label, **looks)
-
-
-def _show(panel: Axes, picture: Picture, norm: Normalize | None = None) -> AxesImage:
-    """Show a picture with the lit face left and rows running down; without norm, a difference."""
-    colours, reach = "cividis" if norm else "RdBu_r", views.reach(picture.values)
-    norm = norm or Normalize(-reach, reach)
-    image = panel.imshow(picture.values, norm=norm, cmap=colours, extent=picture.extent)
-    panel.set_facecolor(BAD)
-    panel.spines[["top", "right"]].set_visible(True)
-    panel.locator_params(nbins=5)
-    return image
-
-
-def _logarithmic(panel: Axes, low: float, high: float) -> None:
-    """Give a panel a logarithmic y axis with plain text: mathtext costs more than all the rest."""
-    panel.set(yscale="log", ylim=(low, high))
-    decades = math.log10(high / low)
-    panel.yaxis.set_major_locator(LogLocator(subs=(1.0,) if decades > 1.5 else (1.0, 2.0, 5.0)))
-    panel.yaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0) if decades > 1.5 else (1.0,)))
-    panel.yaxis.set_major_formatter(FuncFormatter(views.power_of_ten))
-    panel.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _histogram(panel: Axes, percent: Array) -> None:
@@ -405,7 +293,7 @@ def _limit(light: Axes, rest: Axes, decays: list[DecayView]) -> None:
     deepest = max(decay.fitted[1] for decay in fitted)
     light.set_xlim(0.0, min(1.3 * deepest, max(float(decay.depth[-1]) for decay in decays)))
     lit = np.concatenate([decay.value[decay.inside & (decay.value > 0.0)] for decay in fitted])
-    _logarithmic(light, *((0.4 * lit.min(), 2.0 * lit.max()) if lit.size else (0.1, 10.0)))
+    logarithmic(light, *((0.4 * lit.min(), 2.0 * lit.max()) if lit.size else (0.1, 10.0)))
     misfits = np.concatenate([decay.misfit_percent[decay.inside] for decay in fitted])
     reach = 1.15 * views.reach(misfits, share=100.0)
     rest.set_ylim(-reach, reach)

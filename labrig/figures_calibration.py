@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from calibration.record import Record
-from labrig.figures import BAD, BLUE, GREEN, INK, ORANGE, RED, STYLE, WIDTH_IN
+from labrig.drawing import BAD, BLUE, GREEN, INK, ORANGE, RED, STYLE, WIDTH_IN
 
 Array = NDArray[np.float64]
 Draw = Callable[[Record], Figure]

@@ -13,18 +13,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator
 
 from labrig import views
 from labrig.accuracy_capture import NAMES, CaptureCosts, Priced
-from labrig.figures import (
-    BLUE,
-    GREEN,
-    INK,
-    ORANGE,
-    ORDERS,
-    PURPLE,
-    RED,
-    SKY,
-    STYLE,
-    WIDTH_IN,
-)
+from labrig.drawing import BLUE, GREEN, INK, ORANGE, ORDERS, PURPLE, RED, SKY, STYLE, WIDTH_IN
 from labrig.results import Result
 from labrig.series import DilutionSeries, Line
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from analysis.directions import anisotropy, mean_direction_deg
 from analysis.light_field import BounceField
 from labrig import views
-from labrig.figures import BLUE, INK, ORANGE, RED, STYLE, WIDTH_IN, _show
+from labrig.drawing import BLUE, INK, ORANGE, RED, STYLE, WIDTH_IN, show
 from labrig.verification import Verification, Verified
 from labrig.views import Picture
 
@@ -37,7 +37,7 @@ def _compare(column: np.ndarray, verification: Verification, order: Verified) ->
     norm = Normalize(0.0, views.brightest(order.truth))
     for panel, values in zip(column[:2], (order.truth, order.found), strict=True):
         picture = Picture(values=values, y=verification.y_mm, x=verification.x_mm, unit="mm")
-        _show(panel, picture, norm)
+        show(panel, picture, norm)
     column[0].set_title(f"bounce {order.bounce}: rms {100 * order.rms_relative:.1f} % off")
     across = order.truth.sum(axis=1)
     lit = across > 0.5 * across.max()

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 
-from labrig.figures import BLUE, RED, STYLE, WIDTH_IN
+from labrig.drawing import BLUE, RED, STYLE, WIDTH_IN
 from labrig.realism import Realism
 from labrig.scene.answer import Array
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from labrig import views
-from labrig.figures import INK, ORDERS, STYLE, WIDTH_IN
+from labrig.drawing import INK, ORDERS, STYLE, WIDTH_IN
 from labrig.fillings import Fillings
 from labrig.results import Result
 

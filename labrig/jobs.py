@@ -29,9 +29,9 @@ DEFAULT_KINDS = ("png", "pdf", "csv", "nc")
 
 def warm() -> bool:
     """Load the solvers and matplotlib, so that the first figure need not wait for them."""
-    from labrig import figures  # noqa: PLC0415
+    from labrig import drawing  # noqa: PLC0415
 
-    return bool(figures.DPI)
+    return bool(drawing.DPI)
 
 
 def analyse(session: Path, *, tell: Tell) -> Shown:
@@ -97,7 +97,7 @@ def resolve(path: Path, *, tolerance: float) -> Bounces:
 
 def export(path: Path, out: Path, *, kinds: tuple[str, ...] = DEFAULT_KINDS) -> list[Path]:
     """Write figures (png, pdf), curves and numbers (csv), fields (nc) and the report; list them."""
-    from labrig import figure_set, figures  # noqa: PLC0415 - matplotlib takes a second to load
+    from labrig import drawing, figure_set  # noqa: PLC0415 - matplotlib takes a second to load
 
     result = read_results(path)
     written: list[Path] = []
@@ -105,7 +105,7 @@ def export(path: Path, out: Path, *, kinds: tuple[str, ...] = DEFAULT_KINDS) -> 
         out.mkdir(parents=True, exist_ok=True)
         if {"png", "pdf"} & set(kinds):
             for name, figure in figure_set.all_figures(result).items():
-                figures.save(figure, out / name)
+                drawing.save(figure, out / name)
                 for kind in ("png", "pdf"):
                     file = out / f"{name}.{kind}"
                     if kind in kinds:

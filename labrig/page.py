@@ -9,7 +9,7 @@ from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from labrig import figures
+from labrig import drawing
 from labrig.errors import RunError
 
 
@@ -58,7 +58,7 @@ def write_page(folder: Path, name: str, render: Callable[[Path], str]) -> Path:
 
 
 def plates(
-    drawn: figures.Drawn,
+    drawn: drawing.Drawn,
     captions: Mapping[str, tuple[str, str]],
     files: Path,
     suffix: str = "",
@@ -66,7 +66,7 @@ def plates(
     """Return figures for a page, each also saved as PNG and PDF below ``files``."""
     found = []
     for name, figure in drawn.items():
-        png = base64.b64encode(figures.save(figure, files / f"{name}{suffix}")).decode("ascii")
+        png = base64.b64encode(drawing.save(figure, files / f"{name}{suffix}")).decode("ascii")
         title, caption = captions[name]
         found.append(Plate(name=name, title=title, caption=caption, png=png))
     return found

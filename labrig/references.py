@@ -99,9 +99,10 @@ class References:
         notes = []
         testing = self._only_exposure and not self._tested
         if testing:
-            low_s, _ = self._rig.camera_can.exposure_range_s
-            other_s = self._exposure_s * (0.5 if 0.5 * self._exposure_s >= low_s else 2.0)
-            self._take_white(other_s, sequencer, cancel)
+            low_s, high_s = self._rig.camera_can.exposure_range_s
+            others_s = (0.5 * self._exposure_s, 2.0 * self._exposure_s)
+            for other_s in [e for e in others_s if low_s <= e <= high_s][:1]:
+                self._take_white(other_s, sequencer, cancel)
         dn = {}
         for name in self._own:
             taken = sequencer.attempt(self._shot(name, self._exposure_s), cancel, again=False)

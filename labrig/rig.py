@@ -16,7 +16,7 @@ from drivers.projector.protocol import Image, PatternHandle, Projector, Projecto
 from drivers.projector.simulated import SimulatedProjector
 from drivers.simulation.clock import VirtualClock
 from drivers.simulation.faults import Fault, FaultScript
-from drivers.simulation.world import World
+from drivers.simulation.world import Light, World
 from drivers.trigger.protocol import Trigger, TriggerSettings
 from drivers.trigger.simulated import SimulatedTrigger
 from drivers.trigger.software import SoftwareTrigger
@@ -27,10 +27,12 @@ from labrig.models.devices import RealTriggerConfig
 from labrig.models.latency import LatencyRecord
 from labrig.models.plan import Plan
 from labrig.models.rig import (
+    ReplayCameraConfig,
     Rig,
     SimulatedCameraConfig,
     SimulatedProjectorConfig,
     SimulatedTriggerConfig,
+    SoftwareTriggerConfig,
 )
 from labrig.models.scene import Scene
 from labrig.real_devices import (
@@ -40,6 +42,7 @@ from labrig.real_devices import (
     make_projector,
     make_trigger,
 )
+from labrig.replay import replay_camera
 from labrig.scene.filled import layered, refuse_plan, tank_of
 from labrig.scene.picture import Picture, Truth
 from labrig.scene.pipeline import lamp_of, see, sensor_of
@@ -207,6 +210,8 @@ def open_rig(
         refuse_plan(plan, rig, tank_of(rig))
     else:
         scene = layered(scene, rig, plan)
+    if isinstance(rig.camera, ReplayCameraConfig):
+        return _connect_replay(rig, rig.camera, scene, latency)
     if not isinstance(rig.camera, SimulatedCameraConfig):
         return _connect_real(rig, scene, latency)
     if scene is None:
@@ -234,7 +239,7 @@ def connect(
     ):
         msg = f"rig {rig.name!r} mixes simulated and real devices; they do not see one another."
         raise RunError(msg)
-    world, sensor = _world(rig, rig.projector, picture), sensor_of(rig.camera)
+    world, sensor = _world(rig, rig.projector, picture.light), sensor_of(rig.camera)
     if simulation is not None:
         parts = picture.parts
         world.lamp, world.projector_black = parts.lamp, parts.black_level
@@ -267,9 +272,50 @@ def connect(
     )
 
 
+def _connect_replay(
+    rig: Rig, recorded: ReplayCameraConfig, scene: Scene | None, latency: LatencyRecord | None
+) -> OpenRig:
+    """Open a recording before a simulated projector."""
+    if not isinstance(rig.projector, SimulatedProjectorConfig):
+        msg = f"rig {rig.name!r}: a recording sees a simulated projector alone; name that one."
+        raise RunError(msg)
+    if not isinstance(rig.trigger, SoftwareTriggerConfig):
+        msg = f"rig {rig.name!r}: a recording is triggered by software; leave the trigger out."
+        raise RunError(msg)
+
+    def unlit(image: NDArray[np.uint8] | None, black: float) -> NDArray[np.float64]:  # noqa: ARG001
+        return np.zeros((recorded.rows, recorded.cols))
+
+    world = _world(rig, rig.projector, unlit)
+    camera = replay_camera(recorded, world)
+    projector = SimulatedProjector(
+        projector_capabilities(rig, latency),
+        world,
+        latency_s=rig.projector.latency_s,
+        jitter_s=rig.projector.jitter_s,
+        seed=0,
+    )
+    trigger = SoftwareTrigger(camera)
+    camera_can, projector_can = _open_all(camera, projector, trigger)
+    return OpenRig(
+        config=rig,
+        scene=scene,
+        camera=camera,
+        projector=projector,
+        trigger=trigger,
+        camera_can=camera_can,
+        projector_can=projector_can,
+        picture=None,
+        latency=latency,
+        disk=Disk(),
+        simulation=None,
+        _world=world,
+    )
+
+
 def _connect_real(rig: Rig, scene: Scene | None, latency: LatencyRecord | None) -> OpenRig:
     """Open the real devices of a rig."""
-    if isinstance(rig.camera, SimulatedCameraConfig) or isinstance(
+    if isinstance(rig.camera, SimulatedCameraConfig | ReplayCameraConfig) or isinstance(
         rig.projector, SimulatedProjectorConfig
     ):
         msg = f"rig {rig.name!r} mixes simulated and real devices; they do not see one another."
@@ -328,10 +374,10 @@ def projector_capabilities(rig: Rig, latency: LatencyRecord | None) -> Projector
     )
 
 
-def _world(rig: Rig, projector: SimulatedProjectorConfig, picture: Picture) -> World:
+def _world(rig: Rig, projector: SimulatedProjectorConfig, light: Light) -> World:
     simulation = rig.simulation
     return World(
-        light=picture.light,
+        light=light,
         projector_black=rig.projector.black_level,
         clock=VirtualClock() if simulation.clock == "virtual" else MonotonicClock(),
         lamp=lamp_of(rig),

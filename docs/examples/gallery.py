@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import labrig
-from labrig.figures import png_bytes
+from labrig.drawing import png_bytes
 from labrig.figures_scene import Card, contact_sheet
 from labrig.scene.decide import Decision, situation_of
 from labrig.scene.explain import exposed, lit_images

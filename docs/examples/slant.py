@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import labrig
-from labrig import figures
+from labrig import drawing
 from labrig.figures_orders import slant_figure
 from labrig.models.scene import BeamConfig
 
@@ -23,7 +23,7 @@ def main(out: Path) -> int:
         beam = BeamConfig(from_mm=from_mm, to_mm=to_mm, angle_deg=angle_deg)
         solved = labrig.solve(milk.model_copy(update={"beam": beam}), orders=6, light_field=True)
         fields.append(solved.field)
-    figures.save(slant_figure((fields[0], fields[1])), out.with_suffix(""))
+    drawing.save(slant_figure((fields[0], fields[1])), out.with_suffix(""))
     return 0
 
 

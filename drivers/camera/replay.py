@@ -1,8 +1,9 @@
-"""A recorded session as a camera: gives out its frames again, in order, as they were captured."""
+"""A recorded session as a camera: gives out its frames again, as they were captured."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from drivers.camera.protocol import (
@@ -21,39 +22,50 @@ from drivers.errors import (
 from drivers.receipts import TriggerReceipt
 from drivers.waiting import CancelToken, Clock
 
+SAME = 1e-3  # of an exposure: it was that one
+
 
 class ReplayCamera:
-    """Each trigger gives out the next recorded frame; the recording's end is a missing frame.
+    """Each trigger gives out a frame that was recorded of what is shown, at the exposure set.
 
-    ``frames`` are those of a session in the order they were taken; whoever reads the session
-    makes them, for a driver knows no session.
+    Parameters
+    ----------
+    recall : from an exposure in seconds to such a frame, or None if there is none; whoever reads
+        the session makes it, for a driver knows no session
+    exposures_s : those that were recorded
+    name : of the recording
     """
 
     def __init__(
-        self, frames: Sequence[Frame], capabilities: CameraCapabilities, clock: Clock
+        self,
+        recall: Callable[[float], Frame | None],
+        exposures_s: tuple[float, ...],
+        capabilities: CameraCapabilities,
+        clock: Clock,
+        name: str,
     ) -> None:
-        self._frames = frames
+        self._recall = recall
+        self._exposures_s = exposures_s
         self._capabilities = capabilities
         self._clock = clock
-        self._left: Iterator[Frame] = iter(())
+        self._name = name
         self._waiting: list[Frame] = []
         self._last_sequence = 0
         self._pulses = 0
         self._open = self._armed = False
-        self._settings = CameraSettings(exposure_s=capabilities.exposure_range_s[0])
+        self._settings = CameraSettings(exposure_s=exposures_s[0])
 
     @property
     def identity(self) -> dict[str, str]:
         """Model, serial number and firmware."""
-        return {"model": "labrig replay", "serial": f"{len(self._frames)} frames", "firmware": "1"}
+        return {"model": "labrig replay", "serial": self._name, "firmware": "1"}
 
     def open(self) -> CameraCapabilities:
-        """Begin at the first frame."""
+        """Make the recording ready."""
         if self._open:
             msg = "the recording is already open; close it first."
             raise DeviceBusyError(msg)
         self._open = True
-        self._left = iter(self._frames)
         return self._capabilities
 
     def close(self) -> None:
@@ -68,9 +80,9 @@ class ReplayCamera:
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Take on any exposure that was recorded; the frames say themselves which they had."""
         self._require_open()
-        recorded = sorted({f.exposure_s for f in self._frames if f.exposure_s is not None})
-        if all(abs(settings.exposure_s - e) > 1e-3 * e for e in recorded):
-            msg = f"{settings.exposure_s} s was not recorded; there are {recorded} s."
+        if all(abs(settings.exposure_s - e) > SAME * e for e in self._exposures_s):
+            there = ", ".join(f"{e:g}" for e in self._exposures_s)
+            msg = f"{settings.exposure_s:g} s was not recorded; there are {there} s."
             raise SettingRefusedError(msg)
         self._settings = settings
         return settings
@@ -102,26 +114,29 @@ class ReplayCamera:
         return Flushed(discarded=discarded, last_sequence=self._last_sequence)
 
     def trigger(self, *, deadline_s: float, cancel: CancelToken) -> TriggerReceipt:  # noqa: ARG002
-        """Let the next frame of the recording wait."""
+        """Let a frame of what is shown wait."""
         cancel.check()
         self._require_open()
         if not self._armed:
             msg = "the recording is not armed; call arm() first."
             raise SettingRefusedError(msg)
-        frame = next(self._left, None)
-        if frame is not None:
-            self._waiting.append(frame)
+        frame = self._recall(self._settings.exposure_s)
         now = self._clock.now_s()
         self._pulses += 1
+        if frame is not None:
+            self._waiting.append(replace(frame, sequence=self._pulses))
         return TriggerReceipt(earliest_s=now, latest_s=now, count=self._pulses)
 
     def collect(self, *, deadline_s: float, cancel: CancelToken) -> Frame:
-        """Return the frame that waits; where the recording is over, none comes."""
+        """Return the frame that waits; of what was not recorded, none comes."""
         self._require_open()
         cancel.check()
         if not self._waiting:
             self._clock.wait_until(deadline_s, cancel)
-            msg = "the recording has no frame left; was it triggered more often than captured?"
+            msg = (
+                f"the recording {self._name} holds no frame of this picture at "
+                f"{self._settings.exposure_s:g} s; run the plan that it was captured by."
+            )
             raise NoFrameError(msg)
         frame = self._waiting.pop(0)
         self._last_sequence = max(self._last_sequence, frame.sequence)

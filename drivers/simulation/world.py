@@ -67,6 +67,13 @@ class World:
         last = self._shown[-1]
         self._shown.append(_Shown(max(at_s, last.from_s), image, last.covered))
 
+    @property
+    def showing(self) -> tuple[Image | None, bool]:
+        """What the projector shows at this instant, None if it is off; whether the cap is on."""
+        now = self.clock.now_s()
+        shown = self._shown[bisect_right(self._shown, now, key=lambda s: s.from_s) - 1]
+        return shown.image, shown.covered
+
     def listen(self, camera: Callable[[float], None]) -> None:
         """Wire a camera's trigger input to the trigger box."""
         self._on_edge.append(camera)

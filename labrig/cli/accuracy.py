@@ -40,7 +40,8 @@ def solver(
         costs = cost_of_accuracy(wanted, orders=orders, progress=follow)
     table, stem = out / "solver.csv", out / "solver"
     write_csv(costs, table)
-    from labrig.figures import cost_figure, save  # noqa: PLC0415 - matplotlib takes a second to load
+    from labrig.drawing import save  # noqa: PLC0415 - matplotlib takes a second to load
+    from labrig.figures import cost_figure  # noqa: PLC0415 - matplotlib takes a second to load
 
     save(cost_figure(costs), stem)
     if as_json:
@@ -94,7 +95,7 @@ def capture(
     _make(out)
     table, stem = out / "capture.csv", out / "capture"
     accuracy_capture.write_csv(costs, table)
-    from labrig.figures import save  # noqa: PLC0415 - matplotlib takes a second to load
+    from labrig.drawing import save  # noqa: PLC0415 - matplotlib takes a second to load
     from labrig.figures_inversion import capture_cost_figure  # noqa: PLC0415
 
     save(capture_cost_figure(costs), stem)
@@ -186,7 +187,7 @@ def scene_(
     with bars() as follow:
         realism = cost_of_realism(wanted, apparatus, shown, follow)
     stem = out / "scene"
-    from labrig.figures import save  # noqa: PLC0415 - matplotlib takes a second to load
+    from labrig.drawing import save  # noqa: PLC0415 - matplotlib takes a second to load
     from labrig.figures_scene import realism_figure  # noqa: PLC0415
 
     save(realism_figure(realism), stem)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -42,6 +43,18 @@ class SimulatedCameraConfig(CameraConfig):
     noise: Literal["exact", "quick"] = Field(
         "exact", description="quick: shot noise as a normal one, at a camera's rate"
     )
+
+
+class ReplayCameraConfig(CameraConfig):
+    """A recorded session as a camera, before a simulated projector; the camera was this one."""
+
+    driver: Literal["replay"]
+    session: Path = Field(description="its folder")
+    rows: int = Field(ge=16, le=10000)
+    cols: int = Field(ge=16, le=10000)
+    readout_s: NonNegative = 0.0
+    row_time_s: NonNegative = 0.0
+    exposure_latency_frames: int = Field(0, ge=0, le=50)
 
 
 class SimulatedProjectorConfig(Model):
@@ -91,7 +104,11 @@ TriggerConfig = Annotated[
 
 
 CameraEntry = Annotated[
-    SimulatedCameraConfig | V4l2CameraConfig | GenicamCameraConfig | PluginCameraConfig,
+    SimulatedCameraConfig
+    | ReplayCameraConfig
+    | V4l2CameraConfig
+    | GenicamCameraConfig
+    | PluginCameraConfig,
     Field(discriminator="driver"),
 ]
 ProjectorEntry = Annotated[

@@ -15,15 +15,12 @@ import pytest
 import toy
 
 import labrig
-from drivers.camera.protocol import CameraSettings
-from drivers.errors import NoFrameError
-from drivers.simulation.clock import VirtualClock
-from drivers.waiting import CancelToken
+from drivers.errors import SettingRefusedError
 from labrig.capturing import capture
+from labrig.errors import RunError
 from labrig.estimate import estimate
 from labrig.plan import blocks_of, expand
 from labrig.probe import resolve
-from labrig.replay import replay_camera
 from labrig.run_state import State
 from labrig.session import Session
 from labrig.session_lock import holder
@@ -202,22 +199,43 @@ def test_automatic_bracket_reaches_its_target(tmp_path: Path) -> None:
     assert bracket_s[1] == pytest.approx(4 * bracket_s[0], rel=1e-4)
 
 
-def test_recorded_session_is_a_camera(tmp_path: Path) -> None:
-    finish, session = toy.capture(tmp_path)
+def replay_rig(folder: Path, session: Session, **camera: object) -> Path:
+    """Return a rig file whose camera is a recorded session of the toy rig."""
+    kept = {k: v for k, v in toy.RIG["camera"].items() if k not in ("driver", "readout_s")}
+    entry = {"driver": "replay", "session": str(session.path), **kept, **camera}
+    file = folder / "replay.yaml"
+    file.write_text(json.dumps({**toy.RIG, "camera": entry}), encoding="utf-8")
+    return file
+
+
+@pytest.mark.parametrize("bracket_s", [[0.05, 0.1], [0.1]])
+def test_recorded_session_is_a_camera(bracket_s, tmp_path: Path) -> None:
+    """The plan run again before the recording gives the same frames, and no scene is needed."""
+    changes = {
+        "exposures": {"bracket_s": bracket_s},
+        "sets": [*toy.PLAN["sets"], {"id": "black", "pattern": {"kind": "black"}}],
+    }
+    finish, session = toy.capture(tmp_path / "first", plan=changes)
     assert finish.status.state is State.COMPLETED
-    never = CancelToken()
-    camera = replay_camera(Session.open(session.path), VirtualClock())
-    camera.open()
-    camera.arm("software")
-    for shot in session.shots:
-        camera.apply(CameraSettings(exposure_s=shot["exposure_s"]))
-        camera.trigger(deadline_s=1.0, cancel=never)
-        frame = camera.collect(deadline_s=1.0, cancel=never)
-        np.testing.assert_array_equal(frame.pixels, session.read(shot["id"]))
-    camera.trigger(deadline_s=1.0, cancel=never)
-    with pytest.raises(NoFrameError, match="no frame left"):
-        camera.collect(deadline_s=1.0, cancel=never)
-    camera.close()
+    plan = toy.plan_of(**changes)
+    with labrig.open_rig(replay_rig(tmp_path, session), None, plan) as rig:
+        again = Session.open(capture(plan, rig, tmp_path / "again"))
+    assert again.header["devices"]["camera"]["serial"] == session.path.name
+    assert labrig.verify(again.path) == []
+    for shot, pixels in toy.pixels(session).items():
+        np.testing.assert_array_equal(again.read(shot), pixels)
+
+
+def test_recording_refuses_what_it_does_not_hold(tmp_path: Path) -> None:
+    _, session = toy.capture(tmp_path / "first")
+    plan = toy.plan_of(exposures={"bracket_s": [0.07]})
+    with (
+        labrig.open_rig(replay_rig(tmp_path, session), None, plan) as rig,
+        pytest.raises(SettingRefusedError, match=r"0\.07 s was not recorded"),
+    ):
+        capture(plan, rig, tmp_path / "again")
+    with pytest.raises(RunError, match=r"camera\.bits is 10, that of session .* 12"):
+        labrig.open_rig(replay_rig(tmp_path, session, bits=10, white_level_dn=1023), None, plan)
 
 
 def test_simulated_rig_needs_a_scene(command, small_rig, small_plan, tmp_path) -> None:

@@ -153,4 +153,4 @@ def test_json_is_all_that_the_command_prints(found, capsys, monkeypatch):
     assert cli.run(["demo", "--json", "--out", "unused"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert set(printed) == {"sigma_t_per_mm", "sigma_s_per_mm", "g", "session", "report"}
-    assert set(printed["g"]) == {"truth", "value", "std"}
+    assert set(printed["g"]) == {"truth", "value", "std", "plane"}
