@@ -35,6 +35,7 @@ class Log(ttk.Frame):
             undo=False,
         )
         self.text.pack(fill="both", expand=True)
+        self.text.bind("<Configure>", lambda _e: self.text.see("end"))
         self.recolour()
 
     def recolour(self) -> None:
@@ -77,7 +78,6 @@ class Log(ttk.Frame):
     def give_way(self, *, low: bool) -> None:
         """Show a line alone in a low window, so that what stands above keeps its room."""
         self.text.configure(height=1 if low else 3)
-        self.text.see("end")
 
     def copy(self) -> None:
         """Put every line on the clipboard."""

@@ -11,7 +11,7 @@ import pytest
 import labrig
 from labrig.config import parse
 from labrig.corrections import gather
-from labrig.joint_step import _walls, fit_seen, observe
+from labrig.joint_step import walls_of, fit_seen, observe
 from labrig.linearise import linearise
 from labrig.models.setup import Setup
 from labrig.rectify import rectify
@@ -71,7 +71,7 @@ def test_analysis_by_stage(benchmark, small_session, coarse, tmp_path, name):
     seen = observe(pictures, setup, guess, decay.tank)
     read_s = time.process_time() - read_s
     fit_s = time.process_time()
-    fit_seen(seen, guess, config.phase, _walls(decay.tank, decay.beam, seen.observed))
+    fit_seen(seen, guess, config.phase, walls_of(decay.tank, decay.beam, seen.observed))
     fit_s = time.process_time() - fit_s
     stages = ", ".join(f"{stage} {seconds:.2f}" for stage, seconds in result.run["seconds"].items())
     print(  # noqa: T201

@@ -8,12 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from window import Display, Window
+from window import SLANT_DEG, Display, Open, Window
 
 import labrig
-
-Open = Callable[..., Window]
-SLANT_DEG = 12
 
 
 @pytest.fixture(scope="session")

@@ -10,9 +10,8 @@ from pathlib import Path
 import h5netcdf
 import numpy as np
 import pytest
-from conftest import SLANT_DEG, Open
 from PIL import Image
-from window import Window
+from window import SLANT_DEG, Open, Window, shown_of
 
 import labrig
 from labrig.gui.field_tab import FAINT
@@ -162,7 +161,7 @@ def test_light_field_has_a_glyph_at_every_point_that_is_lit_and_is_read_by_arrow
     window = open_window()
     app = window.app
     app.devices.hold(paused=True)
-    app.outcomes.show(labrig_shown(results_root))
+    app.outcomes.show(shown_of(results_root))
     window.key("Control-Key-5")
     half = app.field.halves[0]
     assert window.pump(lambda: half.n_glyphs > 0)
@@ -175,13 +174,6 @@ def test_light_field_has_a_glyph_at_every_point_that_is_lit_and_is_read_by_arrow
     assert words != before
     assert "from the beam" in words
     assert app.field.polar.find_all()
-
-
-def labrig_shown(root: Path, number: int = 0) -> object:
-    """What the window shows of a session of the data root."""
-    from labrig.showing import show  # noqa: PLC0415 - the solvers load with it
-
-    return show(sorted(root.glob("*/*"))[number])
 
 
 def glyphs_expected(window: Window) -> int:

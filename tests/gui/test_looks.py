@@ -6,10 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Open
 from PIL import Image
-from test_day import labrig_shown
-from window import Window, clipped, controls, overlapping, tab_order
+from window import Open, Window, clipped, controls, overlapping, shown_of, tab_order
 
 from labrig.gui.palette import PALETTES, ZEBRA, rgb
 from labrig.shown import Price
@@ -29,8 +27,8 @@ def faults(window: Window) -> list[str]:
 def all_looks(window: Window, root: Path) -> list[str]:
     """Faults of every tab with a result, every drawer, the banner, and the list of keys."""
     app, found = window.app, []
-    app.outcomes.show(labrig_shown(root))
-    app.field.compare(labrig_shown(root, 1))
+    app.outcomes.show(shown_of(root))
+    app.field.compare(shown_of(root, 1))
     app.capture.planned(app.devices.plan, 1e-5)
     price = Price(tolerance=1e-2, engine="ordinates", grid="a grid", seconds=12.3, gigabytes=1.23)
     app.bounces.say_prices([price])
@@ -78,7 +76,7 @@ def test_every_tab_shows_something_in_both_themes(
     app.devices.expose(1.0, 0.0)
     assert window.pump(lambda: app.live.picture.exposure_s == 1.0)
     app.devices.hold(paused=True)
-    app.outcomes.show(labrig_shown(results_root))
+    app.outcomes.show(shown_of(results_root))
     for tab in TABS:
         app.show_tab(tab)
         window.beats()

@@ -29,6 +29,7 @@ from labrig.gui import settings as kept
 from labrig.gui.app import App, Places
 
 if TYPE_CHECKING:
+    from labrig.shown import Shown
     from labrig.station import Station
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -79,6 +80,10 @@ class Display:
         """End the server."""
         self._process.terminate()
         self._process.wait(timeout=10)
+
+
+Open = Callable[..., "Window"]
+SLANT_DEG = 12  # of the second session of `results_root`
 
 
 class Watched:
@@ -287,3 +292,10 @@ def strike(window: Window, kind: str, times: int = 1, shot: str | None = None) -
 
     window.app.devices.door.ask(inject)
     assert window.pump(done.is_set)
+
+
+def shown_of(root: Path, number: int = 0) -> Shown:
+    """What the window shows of a session of a data root, the oldest first."""
+    from labrig.showing import show  # noqa: PLC0415 - the solvers load with it
+
+    return show(sorted(root.glob("*/*"))[number])
