@@ -11,7 +11,7 @@ import pytest
 import labrig
 from labrig.config import parse
 from labrig.corrections import gather
-from labrig.joint_step import walls_of, fit_seen, observe
+from labrig.joint_step import fit_seen, observe, walls_of
 from labrig.linearise import linearise
 from labrig.models.setup import Setup
 from labrig.rectify import rectify
