@@ -148,7 +148,7 @@ class PlotPane(tk.Canvas):
         texts = [*(c.name for c in named), *self.chart.notes]
         wide = max(font.measure(text) for text in texts) + px(44)
         rows, columns = self._legend_size(frame, len(texts), wide, line)
-        if rows * line + px(12) > frame.bottom - frame.top:
+        if rows * line > 0.5 * (frame.bottom - frame.top):
             return  # it would hide the curves
         x, y = frame.right - columns * wide - px(4), frame.top + px(6)
         self.create_rectangle(
