@@ -16,7 +16,10 @@ from typing import Any, Literal
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """What came back of a job: how far it is, what it made, or why it failed."""
+    """What came back of a job: how far it is, what it made, or why it failed.
+
+    ``job`` is the negative count of the process where that has ended.
+    """
 
     job: int
     kind: Literal["progress", "done", "failed"]
@@ -37,7 +40,7 @@ class Helper:
         ]
         self._then = {}
         self._next = 0
-        self._ended = False
+        self._ended, self._generation = False, 0
         self._start()
 
     @property
@@ -81,7 +84,9 @@ class Helper:
                 answer = self._answers.get_nowait()
             except queue.Empty:
                 return
-            if answer.job < 0:  # the process has ended with jobs in hand
+            if answer.job < 0:  # a process has ended
+                if -answer.job != self._generation:
+                    continue  # one that was stopped, not the one that now works
                 self._ended = True
                 lost, self._then = self._then, {}
                 for _, failed, _ in lost.values():
@@ -112,7 +117,7 @@ class Helper:
         self._start()
 
     def _start(self) -> None:
-        self._ended = False
+        self._ended, self._generation = False, self._generation + 1
         context = mp.get_context("spawn")
         self._pipe, other = context.Pipe()
         self._process = context.Process(
@@ -122,16 +127,19 @@ class Helper:
         other.close()
         pipe = self._pipe
         self._reader = threading.Thread(
-            target=self._read, args=(pipe,), name=f"labrig-{self._name}-answers", daemon=True
+            target=self._read,
+            args=(pipe, self._generation),
+            name=f"labrig-{self._name}-answers",
+            daemon=True,
         )
         self._reader.start()
 
-    def _read(self, pipe: Connection) -> None:
+    def _read(self, pipe: Connection, generation: int) -> None:
         while True:
             try:
                 job, kind, value = pipe.recv()
             except (EOFError, OSError):
-                self._answers.put(Answer(job=-1, kind="failed", value=""))
+                self._answers.put(Answer(job=-generation, kind="failed", value=""))
                 return
             self._answers.put(Answer(job=job, kind=kind, value=value))
 

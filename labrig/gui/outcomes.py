@@ -238,6 +238,8 @@ class Outcomes:
             if job in ("analyse", "shown"):
                 self._say_tabs(why)
             self._app.report.done.configure(text="")
+            if self._app.devices.running:
+                return  # the banner is the run's; the log has it
             self._app.banner.show(
                 f"{doing[:1].upper()}{doing[1:]} failed: {why}",
                 [("Retry", lambda: self._again(doing, job, arguments, then, options))],

@@ -151,6 +151,13 @@ def test_a_helper_that_was_killed_is_replaced():
         assert not helper.busy
         helper.ask("listed", Path("nowhere"), then=lambda found: said.append(f"listed {found}"))
         wait("listed []")
+        helper.restart()  # as an abort does: the end of the old process is no news
+        said.clear()
+        helper.ask(
+            "listed", Path("nowhere"), then=lambda _: said.append("again"), failed=said.append
+        )
+        wait("again")
+        assert said == ["again"]
     finally:
         helper.stop()
 
