@@ -153,20 +153,23 @@ class Outcomes:
         tab = self._app.result_tabs[number - 1]
         self._drawn.add(number)
         tab.show(self.shown)
-        if self.weighted is not None and self.weighted is not self.own:
-            if number == 3:
-                self._app.bounces.show_weighted(self.weighted)
-            elif number == 4:
-                self._app.field.take(self.weighted, self.shown.title)
+        weighted, own = self.weighted, self.own
+        if weighted is None or own is None or weighted is self.shown.bounces:
+            return
+        if number == 3:
+            self._app.bounces.show_weighted(weighted)
+        elif number == 4:
+            light = own if weighted is own else own.weighted(weighted.sigma_s)
+            self._app.field.take(light, self.shown.title)
 
     def reweight(self, sigma_s: float) -> None:
         """Weight every bounce for another sigma_s (Eq. 11)."""
         if self.own is None or self.shown is None:
             return
-        self.weighted = self.own if sigma_s == self.own.sigma_s else self.own.weighted(sigma_s)
+        own = self.own
+        self.weighted = own if sigma_s == own.sigma_s else own.weighted(sigma_s, light=False)
         self._app.bounces.show_weighted(self.weighted)
-        if 4 in self._drawn:
-            self._app.field.take(self.weighted, self.shown.title)
+        self._drawn.discard(4)  # its many radiances are weighted when they are looked at
 
     def price(self, tolerance: float) -> None:
         """Ask what bounces to a tolerance would cost; the last question counts."""

@@ -119,6 +119,7 @@ def window(shared: Window) -> Iterator[Window]:
     """
     app = shared.app
     app.show_tab(0)
+    app.banner.hide()
     app.devices.open_drawer("")
     app.live.profile.set(False)
     app.live.decomposing.set(False)

@@ -134,6 +134,11 @@ def _sigma_s_slides(window: Window) -> None:
         np.testing.assert_allclose(seen.curves[k], 0.5**k * own.curves[k], rtol=1e-12)
     shown = app.bounces.plot.chart.curves[1].y
     np.testing.assert_allclose(shown, 0.5 * own.curves[1], rtol=1e-12)
+    app.show_tab(4)
+    window.beats()
+    light = app.field.halves[0].bounces
+    np.testing.assert_allclose(light.light_field[1], 0.25 * own.light_field[1], rtol=1e-5)
+    app.show_tab(3)
     app.bounces.back.invoke()
     assert app.bounces.bounces.sigma_s == own.sigma_s
 
