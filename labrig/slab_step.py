@@ -32,6 +32,7 @@ UNKNOWN_HEIGHT = 0.05  # of the height: what a mistake of this size does is told
 OFF_PLANE = 10.0  # chi^2 per degree of freedom of the plane's fit from which a layer is tried
 TRIED_HEIGHT = 1.0  # mean free paths
 FAR_BETTER = 2.0  # ratio of misfits at which light is said to be a layer's
+LEAST_GAP = 3.0  # mean free paths between beam and side walls: 0.1 % of the light is lost there
 OFF_MODEL = 4.0  # chi^2 per degree of freedom at which the model does not hold
 
 
@@ -108,7 +109,7 @@ def fit_layer(pictures: Pictures, setup: Setup, decay: Decay, joint: Joint) -> L
         harmonics=model[:-1] * sharp[:, None],
         white=model[-1],
         contrast=sharp * fit.scales[:-1] / fit.scales[-1],
-        notes=tuple(_doubts(fit, slab)),
+        notes=(*_doubts(fit, slab), *_near_walls(decay, fit)),
     )
 
 
@@ -190,6 +191,19 @@ def answer_of(
         return np.asarray(light * np.exp(-sigma_t * x_mm))
 
     return answer
+
+
+def _near_walls(decay: Decay, fit: SlabFit) -> list[str]:
+    """Return what is to be said of side walls, which the layer's model knows nothing of."""
+    gap_mm = min(decay.beam.from_mm, decay.tank.width_mm - decay.beam.to_mm)
+    gap = gap_mm * fit.sigma_t_per_mm
+    if gap >= LEAST_GAP:
+        return []
+    return [
+        f"The beam ends {gap_mm:.3g} mm from a side wall, {gap:.2g} mean free paths: below "
+        f"{LEAST_GAP:g} the wall takes percents of the deep light, which the layer's model takes "
+        "for another medium. Narrow the beam, or use a wider tank."
+    ]
 
 
 def _doubts(fit: SlabFit, slab: Slab) -> list[str]:
