@@ -273,9 +273,14 @@ def minimise(
     problem: Problem, orders: Orders, bounds: Array, at: Array | None
 ) -> tuple[Array, bool]:
     """Return (sigma_t, albedo, g) within bounds (2, 3), and whether it lies inside them."""
+    kept: dict[tuple[float, float], list[Array]] = {}
 
     def residual(p: Array) -> Array:
-        scales, model = problem.scaled(problem.profiles(orders(p[0], p[2]), p[0], p[1]))
+        at_orders = (float(p[0]), float(p[2]))
+        if at_orders not in kept:
+            kept.clear()
+            kept[at_orders] = orders(*at_orders)
+        scales, model = problem.scaled(problem.profiles(kept[at_orders], p[0], p[1]))
         return problem.pulls(model, scales)
 
     span = bounds[1] - bounds[0]
@@ -287,8 +292,8 @@ def minimise(
             np.clip(start, bounds[0] + 1e-6, bounds[1] - 1e-6),
             bounds=bounds,
             x_scale=[0.1 * bounds[0, 0], 0.1, 0.1],
-            xtol=1e-8,
-            ftol=1e-8,
+            xtol=1e-6,
+            ftol=1e-6,
         )
         inside = not np.any(found.active_mask)
         tried.append((2.0 * float(found.cost), np.asarray(found.x), inside))

@@ -21,8 +21,10 @@ from analysis.stripe_problem import FACE_ERROR, MODEL_ERROR, Observed, Problem
 from analysis.transport.slab_resolution import depths, directions
 from calibration.errors import CalibrationError
 from labrig.joint_step import Joint, Seen, observe
+from labrig.models.analysis import Analysis
 from labrig.models.setup import WATER, Setup
 from labrig.rectify import Pictures
+from labrig.slab_tables import fit_by_kept, keep_table
 from labrig.steps import Decay
 
 Array = NDArray[np.float64]
@@ -82,7 +84,9 @@ class Layer:
         )
 
 
-def fit_layer(pictures: Pictures, setup: Setup, decay: Decay, joint: Joint) -> Layer | None:
+def fit_layer(
+    pictures: Pictures, setup: Setup, config: Analysis, decay: Decay, joint: Joint
+) -> Layer | None:
     """Fit sigma_t, sigma_s and g of a layer, if the height of the liquid is known.
 
     Where it is not, and a plane does not explain the light, a layer of some height is tried, and
@@ -96,7 +100,7 @@ def fit_layer(pictures: Pictures, setup: Setup, decay: Decay, joint: Joint) -> L
     try:
         seen = observe(pictures, setup, guess, decay.tank)
         profiles, sharp = profiles_of(seen, pictures.pixel, guess)
-        fit = fit_slab(profiles, slab, contrasts=_contrasts(seen, slab, sharp), unknown_walls=True)
+        fit, of_table = _fit(profiles, slab, _contrasts(seen, slab, sharp), config)
     except (AnalysisError, CalibrationError) as error:
         note = f"No fit of a layer ({error}) The values are effective parameters of a plane."
         return Layer.without_fit(slab, note)
@@ -109,8 +113,23 @@ def fit_layer(pictures: Pictures, setup: Setup, decay: Decay, joint: Joint) -> L
         harmonics=model[:-1] * sharp[:, None],
         white=model[-1],
         contrast=sharp * fit.scales[:-1] / fit.scales[-1],
-        notes=(*_doubts(fit, slab), *_near_walls(decay, fit)),
+        notes=(*of_table, *_doubts(fit, slab), *_near_walls(decay, fit)),
     )
+
+
+def _fit(
+    profiles: SlabProfiles, slab: Slab, contrasts: Contrasts, config: Analysis
+) -> tuple[SlabFit, tuple[str, ...]]:
+    """Fit by a kept table if there is one, else by solutions; return also what is said of it."""
+    if config.slab_table == "kept":
+        looked = fit_by_kept(profiles, slab, contrasts)
+        if looked is not None:
+            note = f"Looked up in a kept table, known to {100.0 * looked.error:.1g} % of the light."
+            return looked.fit, (note,)
+    fit = fit_slab(profiles, slab, contrasts=contrasts, unknown_walls=True)
+    if config.slab_table == "kept" and not fit.at_limit:
+        keep_table(profiles, slab, fit)
+    return fit, ()
 
 
 def profiles_of(seen: Seen, pixel_mm: float, sigma_t_per_mm: float) -> tuple[SlabProfiles, Array]:
