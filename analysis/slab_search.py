@@ -292,8 +292,8 @@ def minimise(
             np.clip(start, bounds[0] + 1e-6, bounds[1] - 1e-6),
             bounds=bounds,
             x_scale=[0.1 * bounds[0, 0], 0.1, 0.1],
-            xtol=1e-6,
-            ftol=1e-6,
+            xtol=1e-5,
+            ftol=1e-5,
         )
         inside = not np.any(found.active_mask)
         tried.append((2.0 * float(found.cost), np.asarray(found.x), inside))
