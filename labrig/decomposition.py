@@ -140,7 +140,7 @@ def _fit(pictures: Pictures, setup: Setup, decay: Decay, before: Fitted | None) 
     guess, phase = decay.attenuation.sigma_t_per_mm, CONFIG.phase
     refuse_near_walls(decay.tank, guess)
     seen = observe(pictures, setup, guess, decay.tank)
-    walls = walls_of(decay.tank, decay.beam, seen.observed)
+    walls = walls_of(decay, seen.observed)
     if before is not None and before.holds and before.sigma_t and before.sigma_s and before.g:
         near = Medium(
             sigma_t_per_mm=before.sigma_t[0],

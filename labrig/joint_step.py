@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.errors import AnalysisError
-from analysis.medium import Beam, Medium, Phase, Tank
+from analysis.medium import Medium, Phase, Tank
 from analysis.spectrum import (
     Bins,
     StripeWave,
@@ -27,7 +27,7 @@ from analysis.stripe_aware import (
     fit_stripe_aware,
     stripe_answer,
 )
-from analysis.stripe_problem import Observed
+from analysis.stripe_problem import WHITE_TAU, Observed
 from analysis.transport.side_walls import side_wall_loss
 from calibration.errors import CalibrationError
 from labrig.models.analysis import Analysis
@@ -81,7 +81,7 @@ def fit_joint(pictures: Pictures, setup: Setup, config: Analysis, decay: Decay) 
     try:
         refuse_near_walls(decay.tank, guess)
         seen = observe(pictures, setup, guess, decay.tank)
-        walls = walls_of(decay.tank, decay.beam, seen.observed)
+        walls = walls_of(decay, seen.observed)
         observed, fit = seen.observed, fit_seen(seen, guess, config.phase, walls)
         g_unknown = std_of_g(fit) > G_UNKNOWN
         if g_unknown:
@@ -299,8 +299,9 @@ def refuse_near_walls(tank: Tank, sigma_t_per_mm: float) -> None:
         raise AnalysisError(msg)
 
 
-def walls_of(tank: Tank, beam: Beam, observed: Observed) -> SideWalls:
+def walls_of(decay: Decay, observed: Observed) -> SideWalls:
     """Return what gives the side walls' change of the white waves of any medium."""
+    tank, beam = decay.tank, decay.beam
     y, light = beam.profile_points()
     across = float(np.sum(0.5 * (light[1:] + light[:-1]) * np.diff(y)))
     slanted = replace(beam, angle_deg=math.degrees(math.atan(observed.slope)))
@@ -313,6 +314,7 @@ def walls_of(tank: Tank, beam: Beam, observed: Observed) -> SideWalls:
             wavenumber_per_mm=observed.white.wavenumber_per_mm,
             origin_mm=observed.white.origin_mm,
             x_mm=observed.x_mm,
+            deepest_mm=WHITE_TAU / decay.attenuation.sigma_t_per_mm,
         )
         turn = np.outer(observed.white.wavenumber_per_mm, observed.x_mm) * observed.slope
         return np.asarray(found * np.exp(1j * turn) / across)

@@ -161,8 +161,11 @@ def profiles_of(seen: Seen, pixel_mm: float, sigma_t_per_mm: float) -> tuple[Sla
 
 
 def _looks_like_layer(pictures: Pictures, setup: Setup, decay: Decay, joint: Joint) -> str | None:
-    """Return a warning where a layer explains the light far better than the plane does."""
-    if joint.fit is None or joint.fit.chi2_per_dof < OFF_PLANE:
+    """Return a warning where a layer explains the light far better than the plane does.
+
+    The projector's leak, where no black picture takes it away, is enough to miss a plane.
+    """
+    if joint.fit is None or joint.fit.chi2_per_dof < OFF_PLANE or pictures.black_variance is None:
         return None
     guess = decay.attenuation.sigma_t_per_mm
     height_mm = TRIED_HEIGHT / guess

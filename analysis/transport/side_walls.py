@@ -9,6 +9,7 @@ own error cancels.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from analysis.transport.ordinates import bounce_weight, march
 
 ComplexArray = NDArray[np.complex128]
 
-CELL_TAU = 0.5  # optical size of a cell, where the tank has room for as many
+CELL_TAU = 0.75  # optical size of a cell, where the tank has room for as many
 MIN_CELLS = 24  # across the tank
 MAX_CELLS = 120
 TAIL = 3e-3  # of the energy, in bounces left out
@@ -40,6 +41,7 @@ def side_wall_loss(
     wavenumber_per_mm: Array,
     origin_mm: float,
     x_mm: Array,
+    deepest_mm: float,
 ) -> ComplexArray:
     """Return what the side walls change of ``int phi exp(-i q (y - y_0)) dy``, (n_q, n_x), mm.
 
@@ -47,15 +49,18 @@ def side_wall_loss(
     profile); the integral runs over the tank's width with walls, over everything without. What
     reaches a side wall has been scattered often: a forward-peaked medium is exchanged for the
     similar one of equal absorption and equal sigma_s (1 - g), at a fraction of the cost and about 6
-    percent of the loss off at g = 0.9.
+    percent of the loss off at g = 0.9. Light that goes far beyond ``deepest_mm``, where the loss is
+    last wanted, does not come back; beyond it the loss is less exact, and zero from there on.
     """
     medium = _similar(medium)
-    cells = math.ceil(tank.width_mm * medium.sigma_t_per_mm / CELL_TAU)
-    n_y = min(MAX_CELLS, max(MIN_CELLS, cells))
-    n_x = max(16, round(tank.depth_mm / tank.width_mm * n_y))
-    n_x = min(MAX_CELLS, n_x)
+    spread_mm = _spread_mm(medium)
+    n_y = min(
+        MAX_CELLS, max(MIN_CELLS, math.ceil(tank.width_mm * medium.sigma_t_per_mm / CELL_TAU))
+    )
+    tank, n_x = _shortened(tank, tank.width_mm / n_y, deepest_mm + SPREADS * spread_mm)
     with_walls = _waves(medium, tank, beam, (n_x, n_y), wavenumber_per_mm, origin_mm)
-    beside = _tanks_beside(medium, tank)
+    # As many tanks to each side as light spreads over where no wall is.
+    beside = min(MOST_BESIDE, max(1, math.ceil(SPREADS * spread_mm / tank.width_mm)))
     away, n_tanks = beside * tank.width_mm, 2 * beside + 1
     wide = Tank(depth_mm=tank.depth_mm, width_mm=n_tanks * tank.width_mm)
     profile = None if beam.profile is None else tuple((y + away, e) for y, e in beam.profile)
@@ -68,18 +73,26 @@ def side_wall_loss(
     cells_wide = (n_x, n_tanks * n_y)
     without = _waves(medium, wide, middle, cells_wide, wavenumber_per_mm, origin_mm + away)
     nodes = np.linspace(0.0, tank.depth_mm, n_x + 1)
-    return np.asarray(CubicSpline(nodes, with_walls - without, axis=1)(x_mm))
+    loss = np.asarray(CubicSpline(nodes, with_walls - without, axis=1)(x_mm))
+    return np.where(x_mm <= tank.depth_mm, loss, 0.0)
 
 
-def _tanks_beside(medium: Medium, tank: Tank) -> int:
-    """Return how many tanks to each side light spreads over where no wall is.
+def _shortened(tank: Tank, cell_mm: float, wanted_mm: float) -> tuple[Tank, int]:
+    """Return a tank as deep as is wanted and there is, and its cells along the depth."""
+    n_x = min(MAX_CELLS, max(16, round(tank.depth_mm / cell_mm)))
+    pitch_mm = tank.depth_mm / n_x
+    some = max(16, math.ceil(wanted_mm / pitch_mm))
+    return (tank, n_x) if some >= n_x else (replace(tank, depth_mm=some * pitch_mm), some)
 
-    Diffuse light spreads over ``1 / sqrt(2 sigma_a (sigma_t - g sigma_s))`` in a plane.
+
+def _spread_mm(medium: Medium) -> float:
+    """Return the length over which diffuse light fades in a plane.
+
+    ``1 / sqrt(2 sigma_a (sigma_t - g sigma_s))``, of no absorption a thousandth of the latter.
     """
     absorbed = medium.sigma_t_per_mm - medium.sigma_s_per_mm * power_removed(medium.g, medium.phase)
     kept = medium.sigma_t_per_mm - medium.g * medium.sigma_s_per_mm
-    spread_mm = 1.0 / math.sqrt(2.0 * max(absorbed, 1e-3 * kept) * kept)
-    return min(MOST_BESIDE, max(1, math.ceil(SPREADS * spread_mm / tank.width_mm)))
+    return 1.0 / math.sqrt(2.0 * max(absorbed, 1e-3 * kept) * kept)
 
 
 def _waves(

@@ -109,6 +109,7 @@ def walls(seen: Observed, beam: Beam):
             wavenumber_per_mm=seen.white.wavenumber_per_mm,
             origin_mm=seen.white.origin_mm,
             x_mm=seen.x_mm,
+            deepest_mm=float(seen.x_mm[-1]),
         )
         return found / across
 
