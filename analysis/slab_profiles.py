@@ -186,7 +186,7 @@ def summed(orders: Array, albedo: float) -> Array:
 
     Orders beyond the last go on with the ratio of the last two.
     """
-    total = np.polynomial.polynomial.polyval(albedo, orders)
+    total = albedo ** np.arange(orders.shape[0]) @ orders
     if orders.shape[0] < 3:
         return np.asarray(total)
     before, last = orders[-2], orders[-1]

@@ -31,12 +31,12 @@ TABLES: tuple[Choice, ...] = (  # range of g, of sigma_t over the decay, finenes
     ((0.5, 0.82), (0.9, 1.5), 0.45, (3, 4)),
     ((0.75, 0.96), (1.0, 2.1), 0.5, (4, 4)),
 )
-MEDIUM = 0.65  # fineness at which derivatives are taken
 FINE, FINER = 1.1, 0.5  # of the last solutions: at g = 0, and how much more where g is one
+MEDIUM, MORE = 0.65, 0.4  # fineness at which derivatives are taken: likewise
 COARSE_TAIL = 1e-3
-APPROACHES, CORRECTIONS = 6, 4
+APPROACHES, CORRECTIONS = 5, 6
 STEPS = (0.01, 0.01)  # of the derivatives: relative in sigma_t, and in g
-ROOM = (0.15, 0.08)  # within which the moved orders are believed: likewise
+ROOM = (0.1, 0.05)  # within which the moved orders are believed: likewise
 NEAR = 1.0  # standard deviations or percents, within which derivatives need not be taken again
 CONVINCING = 2.0  # chi^2 per degree of freedom below which no other start is tried
 SETTLED = 0.1  # of a standard deviation or of half a percent, if that is more
@@ -69,7 +69,7 @@ def search(profiles: SlabProfiles, slab: Slab, contrasts: Contrasts | None) -> F
     """Find the medium with a coarse table, then with better solutions around what it says."""
     at, problem, table, n_solved = _first(profiles, slab)
     n_q, sure = table.wavenumbers_per_mm.size, False
-    grids = _Grids.of(table, at, MEDIUM)
+    grids = _Grids.of(table, at, MEDIUM + MORE * at[2] ** 8)
     for _ in range(APPROACHES):
         local = _Local.of(table, at, grids)
         n_solved += 3 * n_q
@@ -77,10 +77,10 @@ def search(profiles: SlabProfiles, slab: Slab, contrasts: Contrasts | None) -> F
             problem = problem.with_ratio(*contrasts(at[0], at[0] * at[1], at[2]))
         before = at
         at, sure = minimise(problem, local.orders, local.bounds(), at)
-        if _moved(problem, local.orders, at, before, NEAR):
+        if _stands(problem, local.orders, at, before, NEAR):
             break
         if abs(at[2] - grids.g) > 0.5 * ROOM[1]:
-            grids = _Grids.of(table, at, MEDIUM)
+            grids = _Grids.of(table, at, MEDIUM + MORE * at[2] ** 8)
     fine = _Grids.of(table, at, FINE + FINER * at[2] ** 8)
     settled = False
     for _ in range(CORRECTIONS):
@@ -90,9 +90,12 @@ def search(profiles: SlabProfiles, slab: Slab, contrasts: Contrasts | None) -> F
             problem = problem.with_ratio(*contrasts(at[0], at[0] * at[1], at[2]))
         before = at
         at, sure = minimise(problem, local.orders, local.bounds(), at)
-        settled = _moved(problem, local.orders, at, before, SETTLED)
+        settled = _stands(problem, local.orders, at, before, SETTLED)
         if settled:
             break
+        if not _stands(problem, local.orders, at, before, NEAR):
+            local = _Local.of(table, at, grids)
+            n_solved += 3 * n_q
     return Found(
         at=at,
         orders=local.orders,
@@ -136,7 +139,7 @@ def _first(profiles: SlabProfiles, slab: Slab) -> tuple[Array, Problem, SlabTabl
     return at, problem, table, n_solved
 
 
-def _moved(problem: Problem, orders: Orders, at: Array, before: Array, share: float) -> bool:
+def _stands(problem: Problem, orders: Orders, at: Array, before: Array, share: float) -> bool:
     """Return whether two places are the same but for a share of what is known of them."""
     std = np.linalg.norm(gain(problem, orders, at)[:3], axis=1)
     return bool(np.all(np.abs(at - before) < share * np.maximum(std, 0.005 * np.abs(at))))
@@ -273,9 +276,14 @@ def minimise(
     problem: Problem, orders: Orders, bounds: Array, at: Array | None
 ) -> tuple[Array, bool]:
     """Return (sigma_t, albedo, g) within bounds (2, 3), and whether it lies inside them."""
+    kept: dict[tuple[float, float], list[Array]] = {}
 
     def residual(p: Array) -> Array:
-        scales, model = problem.scaled(problem.profiles(orders(p[0], p[2]), p[0], p[1]))
+        at_orders = (float(p[0]), float(p[2]))
+        if at_orders not in kept:
+            kept.clear()
+            kept[at_orders] = orders(*at_orders)
+        scales, model = problem.scaled(problem.profiles(kept[at_orders], p[0], p[1]))
         return problem.pulls(model, scales)
 
     span = bounds[1] - bounds[0]
@@ -287,8 +295,8 @@ def minimise(
             np.clip(start, bounds[0] + 1e-6, bounds[1] - 1e-6),
             bounds=bounds,
             x_scale=[0.1 * bounds[0, 0], 0.1, 0.1],
-            xtol=1e-8,
-            ftol=1e-8,
+            xtol=1e-5,
+            ftol=1e-5,
         )
         inside = not np.any(found.active_mask)
         tried.append((2.0 * float(found.cost), np.asarray(found.x), inside))

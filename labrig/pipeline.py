@@ -85,7 +85,7 @@ def analyse(
         decay = attenuate(separated, pictures, setup, config)
         watch.start("stripes")
         joint = fit_joint(pictures, setup, config, decay)
-        layer = fit_layer(pictures, setup, decay, joint)
+        layer = fit_layer(pictures, setup, config, decay, joint)
         watch.start("bounces")
         table = render_bounces(decay, pictures, config)
         watch.start("invert")

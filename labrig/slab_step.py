@@ -21,8 +21,10 @@ from analysis.stripe_problem import FACE_ERROR, MODEL_ERROR, Observed, Problem
 from analysis.transport.slab_resolution import depths, directions
 from calibration.errors import CalibrationError
 from labrig.joint_step import Joint, Seen, observe
+from labrig.models.analysis import Analysis
 from labrig.models.setup import WATER, Setup
 from labrig.rectify import Pictures
+from labrig.slab_tables import fit_by_kept, keep_table
 from labrig.steps import Decay
 
 Array = NDArray[np.float64]
@@ -32,6 +34,7 @@ UNKNOWN_HEIGHT = 0.05  # of the height: what a mistake of this size does is told
 OFF_PLANE = 10.0  # chi^2 per degree of freedom of the plane's fit from which a layer is tried
 TRIED_HEIGHT = 1.0  # mean free paths
 FAR_BETTER = 2.0  # ratio of misfits at which light is said to be a layer's
+LEAST_GAP = 3.0  # mean free paths between beam and side walls: 0.1 % of the light is lost there
 OFF_MODEL = 4.0  # chi^2 per degree of freedom at which the model does not hold
 
 
@@ -81,7 +84,9 @@ class Layer:
         )
 
 
-def fit_layer(pictures: Pictures, setup: Setup, decay: Decay, joint: Joint) -> Layer | None:
+def fit_layer(
+    pictures: Pictures, setup: Setup, config: Analysis, decay: Decay, joint: Joint
+) -> Layer | None:
     """Fit sigma_t, sigma_s and g of a layer, if the height of the liquid is known.
 
     Where it is not, and a plane does not explain the light, a layer of some height is tried, and
@@ -95,7 +100,7 @@ def fit_layer(pictures: Pictures, setup: Setup, decay: Decay, joint: Joint) -> L
     try:
         seen = observe(pictures, setup, guess, decay.tank)
         profiles, sharp = profiles_of(seen, pictures.pixel, guess)
-        fit = fit_slab(profiles, slab, contrasts=_contrasts(seen, slab, sharp), unknown_walls=True)
+        fit, of_table = _fit(profiles, slab, _contrasts(seen, slab, sharp), config)
     except (AnalysisError, CalibrationError) as error:
         note = f"No fit of a layer ({error}) The values are effective parameters of a plane."
         return Layer.without_fit(slab, note)
@@ -108,8 +113,23 @@ def fit_layer(pictures: Pictures, setup: Setup, decay: Decay, joint: Joint) -> L
         harmonics=model[:-1] * sharp[:, None],
         white=model[-1],
         contrast=sharp * fit.scales[:-1] / fit.scales[-1],
-        notes=tuple(_doubts(fit, slab)),
+        notes=(*of_table, *_doubts(fit, slab), *_near_walls(decay, fit)),
     )
+
+
+def _fit(
+    profiles: SlabProfiles, slab: Slab, contrasts: Contrasts, config: Analysis
+) -> tuple[SlabFit, tuple[str, ...]]:
+    """Fit by a kept table if there is one, else by solutions; return also what is said of it."""
+    if config.slab_table == "kept":
+        looked = fit_by_kept(profiles, slab, contrasts)
+        if looked is not None:
+            note = f"Looked up in a kept table, known to {100.0 * looked.error:.1g} % of the light."
+            return looked.fit, (note,)
+    fit = fit_slab(profiles, slab, contrasts=contrasts, unknown_walls=True)
+    if config.slab_table == "kept" and not fit.at_limit:
+        keep_table(profiles, slab, fit)
+    return fit, ()
 
 
 def profiles_of(seen: Seen, pixel_mm: float, sigma_t_per_mm: float) -> tuple[SlabProfiles, Array]:
@@ -193,6 +213,19 @@ def answer_of(
         return np.asarray(light * np.exp(-sigma_t * x_mm))
 
     return answer
+
+
+def _near_walls(decay: Decay, fit: SlabFit) -> list[str]:
+    """Return what is to be said of side walls, which the layer's model knows nothing of."""
+    gap_mm = min(decay.beam.from_mm, decay.tank.width_mm - decay.beam.to_mm)
+    gap = gap_mm * fit.sigma_t_per_mm
+    if gap >= LEAST_GAP:
+        return []
+    return [
+        f"The beam ends {gap_mm:.3g} mm from a side wall, {gap:.2g} mean free paths: below "
+        f"{LEAST_GAP:g} the wall takes percents of the deep light, which the layer's model takes "
+        "for another medium. Narrow the beam, or use a wider tank."
+    ]
 
 
 def _doubts(fit: SlabFit, slab: Slab) -> list[str]:

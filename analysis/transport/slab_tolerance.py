@@ -14,7 +14,7 @@ from analysis.transport.slab_resolution import depths, directions
 
 AT_ONE = 3e-3  # error of a bounce that fineness one leaves, about
 RATE = 2.0  # with what power of the fineness it falls
-COARSEST, FINEST = 0.6, 4.0
+COARSEST, FINEST = 0.85, 4.0
 FINER = 1.4  # steps of fineness
 DEEPEST = 6.0  # optical depth down to which bounces are compared
 N_COMPARED = 200

@@ -34,6 +34,11 @@ class Analysis(Model):
     n_g: int = Field(7, ge=3, le=64, description="Chebyshev nodes in g")
     depth_range_mm: tuple[float, float] | None = Field(None, description="of Eq. 9; else chosen")
 
+    slab_table: Literal["none", "kept"] = Field(
+        "none",
+        description="kept: the transport of a layer is solved once for media like the one found, "
+        "and kept, so that fits of further sessions look it up",
+    )
     calibration: dict[str, str] = Field(
         default_factory=dict,
         description="record folders by kind, relative to this file; they take precedence over the "

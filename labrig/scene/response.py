@@ -24,6 +24,7 @@ from analysis.phase_function import power_removed
 from analysis.transport.montecarlo import SampledField, Walls, simulate
 from labrig.models.scene import Scene
 from labrig.scene.answer import Answer
+from labrig.scene.cache import cache_folder
 from labrig.scene.layer import sample_layer
 from labrig.scene.stripes import FIRST
 
@@ -183,13 +184,6 @@ def _key(scene: Scene, period_mm: float, harmonics: tuple[int, ...], walls: Wall
     if walls is not None:
         question["walls"] = asdict(walls)
     return hashlib.sha256(json.dumps(question, sort_keys=True).encode()).hexdigest()[:24]
-
-
-def cache_folder() -> Path:
-    """Return where computed responses are kept; everything in it can be deleted."""
-    root = os.environ.get("LABRIG_CACHE") or os.environ.get("XDG_CACHE_HOME")
-    base = Path(root) if root else Path.home() / ".cache"
-    return base / "labrig"
 
 
 def _read(path: Path) -> TankResponse | None:

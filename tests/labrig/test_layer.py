@@ -128,7 +128,7 @@ def test_a_plane_says_what_looks_like_a_layer(sessions):
     setup, known = shone(setup, gather(session, setup, config))
     pictures = rectify(linearise(session, setup, known), session, setup, known)
     decay = attenuate(separate(pictures, setup, config, known), pictures, setup, config)
-    layer = fit_layer(pictures, setup, decay, fit_joint(pictures, setup, config, decay))
+    layer = fit_layer(pictures, setup, config, decay, fit_joint(pictures, setup, config, decay))
     assert layer is not None
     assert layer.fit is None
     assert "looks like light of a thin layer" in layer.notes[0]
