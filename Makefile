@@ -13,10 +13,12 @@ demo: install  ## the main job on the simulated rig
 	@$(BIN)/labrig demo
 
 test: install  ## everything that is right or wrong
-	@$(BIN)/python -m pytest -n auto --dist worksteal
+	@$(BIN)/python -m pytest -n auto --dist worksteal --ignore=tests/gui
+	@$(MAKE) --no-print-directory test-window
 
+# Apart, for a window draws on every core that there is, and the tests of devices tell milliseconds.
 test-window: install  ## of these the operator's window alone, each process with an X server of its own
-	@$(BIN)/python -m pytest -n auto --dist worksteal -q tests/gui
+	@$(BIN)/python -m pytest -n auto --dist worksteal tests/gui
 
 lint: install
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
+import time
 import tkinter as tk
 from tkinter import ttk
 
@@ -50,6 +51,15 @@ def test_shares_that_are_shown_are_those_of_the_frame_that_is_kept(window: Windo
     )
     assert bright
     window.key("Key-space", app.live.pane)  # hold
+    last, since = app.live.picture, time.monotonic()
+
+    def at_rest() -> bool:  # a picture may be on its way
+        nonlocal last, since
+        if app.live.picture is not last:
+            last, since = app.live.picture, time.monotonic()
+        return time.monotonic() - since > 1.0
+
+    assert window.pump(at_rest)
     app.devices.metering.take(app.live.picture)
     window.key("Key-s", app.live.pane)
     (path,) = app.places.out.glob("snaps/*.tif")

@@ -33,10 +33,13 @@ def test_r6_lock_is_free_once_the_writer_is_killed_though_its_helper_lives(tmp_p
 import os, pathlib, sys, time
 from labrig.session import SessionWriter
 writer = SessionWriter.create(pathlib.Path(sys.argv[1]), "s", {"shots": [{"id": "a"}]})
+alive, says = os.pipe()
 helper = os.fork()
 if not helper:
+    os.write(says, b"x")
     time.sleep(60)
     os._exit(0)
+os.read(alive, 1)
 print(writer.path, helper, flush=True)
 time.sleep(60)
 """

@@ -310,14 +310,14 @@ GALLERY = sorted(path.stem for path in (labrig.config_folder() / "scenes").glob(
 
 
 def gallery(name: str) -> tuple[labrig.Scene, labrig.Rig, labrig.Plan]:
-    """Return a scene of the gallery on 90 x 120 px of a millimetre each, its light by few paths."""
+    """Return a scene of the gallery on 144 x 192 px of 0.625 mm, its light by few paths."""
     folder = labrig.config_folder()
     scene = labrig.load_scene(folder / "scenes" / f"{name}.yaml")
     rig = labrig.load_rig(
         folder / "rigs" / f"{'webcam' if name == 'noisy-webcam' else 'simulated'}.yaml"
     )
-    camera = rig.camera.model_copy(update={"rows": 90, "cols": 120, "hot_pixels": 2})
-    view = {"mm_per_px": 1.0, "region_px": (10, 8, 100, 75)}
+    camera = rig.camera.model_copy(update={"rows": 144, "cols": 192, "hot_pixels": 2})
+    view = {"mm_per_px": 0.625, "region_px": (16, 13, 160, 120)}
     geometry = rig.geometry.model_copy(update=view)
     few = scene.transport.model_copy(
         update={"method": "montecarlo", "n_paths": 4000, "cell_mm": 2.5}
