@@ -3,6 +3,7 @@
 import time
 
 import pytest
+from host_time import own_s
 
 from drivers.errors import (
     CancelledError,
@@ -83,7 +84,7 @@ def test_a_set_cancel_token_gives_no_pulse(trigger):
     begin = time.monotonic()
     with pytest.raises(CancelledError):
         device.fire(deadline_s=in_s(2.0), cancel=over)
-    assert time.monotonic() - begin <= 0.2
+    assert own_s(begin) <= 0.2
     assert device.counters().pulses == 0
 
 
@@ -100,7 +101,7 @@ def test_it_is_safe_after_any_step(trigger, step):
             trigger.unplug()
     begin = time.monotonic()
     device.make_safe()
-    assert time.monotonic() - begin < 2.0
+    assert own_s(begin) < 2.0
     device.close()
 
 

@@ -12,6 +12,7 @@ import tkinter as tk
 import numpy as np
 import pytest
 from emulated.x_server import XServer
+from host_time import own_s, taken_s
 
 from drivers.errors import (
     CancelledError,
@@ -111,7 +112,9 @@ def test_the_receipt_bounds_when_the_pixels_changed(projector, server):
         receipt = projector.show(handle, deadline_s=in_s(2.0), cancel=NEVER)
         watcher.join(timeout=5)
         # the watcher sees a change one grab late, 1 ms here and 30 ms on a loaded machine
-        assert receipt.requested_s <= receipt.earliest_s <= seen[0] <= receipt.latest_s + 0.03
+        taken = taken_s(receipt.requested_s, seen[0])
+        assert receipt.requested_s <= receipt.earliest_s <= seen[0]
+        assert seen[0] <= receipt.latest_s + 0.03 + taken
         assert receipt.latest_s - receipt.requested_s < 0.1 + 0.5
 
 
@@ -233,16 +236,17 @@ def test_a_window_that_hangs_keeps_deadline_and_cancel_and_can_be_made_safe(proj
     begin = time.monotonic()
     with pytest.raises(DeadlineError, match="before the deadline"):
         projector.show(handle, deadline_s=in_s(0.5), cancel=NEVER)
-    assert 0.5 <= time.monotonic() - begin <= 0.6
+    assert time.monotonic() - begin >= 0.5
+    assert own_s(begin) <= 0.6
     cancel = CancelToken()
     threading.Timer(0.1, cancel.cancel, ["enough"]).start()
     begin = time.monotonic()
     with pytest.raises(CancelledError):
         projector.show(handle, deadline_s=in_s(5.0), cancel=cancel)
-    assert time.monotonic() - begin <= 0.1 + 0.2
+    assert own_s(begin) <= 0.1 + 0.2
     begin = time.monotonic()
     projector.make_safe()
-    assert time.monotonic() - begin < 2.0
+    assert own_s(begin) < 2.0
     assert server.await_black(within_s=1.0)
 
 

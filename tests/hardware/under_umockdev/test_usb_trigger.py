@@ -9,6 +9,7 @@ from emulated.firmware import compile_firmware
 from emulated.usb_device import UsbDevice, configuration, interface
 from emulated.usb_trigger import UsbTriggerDevice
 from emulated.usb_umockdev import UsbBus
+from host_time import own_s, taken_s
 
 from drivers.errors import (
     CancelledError,
@@ -80,7 +81,8 @@ def test_pulses_are_given_and_counted(trigger, device):
     rises = [edge for edge in device.box.unplug() if edge.high]
     for receipt, rise in zip(receipts, rises, strict=True):
         # a loaded host may run the firmware's loop 20 ms late
-        assert receipt.earliest_s <= rise.at_s <= receipt.latest_s + 0.02
+        taken = taken_s(receipt.earliest_s, rise.at_s)
+        assert receipt.earliest_s <= rise.at_s <= receipt.latest_s + 0.02 + taken
 
 
 def test_make_safe_goes_beside_a_stuck_pipe(trigger, device):
@@ -89,7 +91,7 @@ def test_make_safe_goes_beside_a_stuck_pipe(trigger, device):
     device.mute = True
     begin = time.monotonic()
     trigger.make_safe()
-    assert time.monotonic() - begin < 0.2
+    assert own_s(begin) < 0.2
     time.sleep(0.05)
     edges = device.box.unplug()
     assert [edge.high for edge in edges] == [True, False]
@@ -116,7 +118,8 @@ def test_a_mute_device_keeps_deadline_and_cancel(trigger, device):
     begin = time.monotonic()
     with pytest.raises(DeadlineError, match="no whole line"):
         trigger.fire(deadline_s=in_s(0.5), cancel=NEVER)
-    assert 0.5 <= time.monotonic() - begin <= 0.6
+    assert time.monotonic() - begin >= 0.5
+    assert own_s(begin) <= 0.6
     # the quickest of three: at a load of 14 one of six came after 0.27 s
     assert min(cancelled_after_s(trigger) for _ in range(3)) <= 0.2
     device.mute = False
