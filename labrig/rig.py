@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Any
 
@@ -255,20 +255,11 @@ def connect(
     trigger: Trigger = SoftwareTrigger(camera)
     if isinstance(rig.trigger, SimulatedTriggerConfig):
         trigger = SimulatedTrigger(world, latency_s=rig.trigger.latency_s)
-    camera_can, projector_can = _open_all(camera, projector, trigger)
-    return OpenRig(
-        config=rig,
-        scene=scene,
-        camera=camera,
-        projector=projector,
-        trigger=trigger,
-        camera_can=camera_can,
-        projector_can=projector_can,
+    return replace(
+        _opened(rig, scene, latency, (camera, projector, trigger), world),
         picture=picture,
-        latency=latency,
         disk=SimulatedDisk(world.faults),
         simulation=simulation,
-        _world=world,
     )
 
 
@@ -296,21 +287,7 @@ def _connect_replay(
         seed=0,
     )
     trigger = SoftwareTrigger(camera)
-    camera_can, projector_can = _open_all(camera, projector, trigger)
-    return OpenRig(
-        config=rig,
-        scene=scene,
-        camera=camera,
-        projector=projector,
-        trigger=trigger,
-        camera_can=camera_can,
-        projector_can=projector_can,
-        picture=None,
-        latency=latency,
-        disk=Disk(),
-        simulation=None,
-        _world=world,
-    )
+    return _opened(rig, scene, latency, (camera, projector, trigger), world)
 
 
 def _connect_real(rig: Rig, scene: Scene | None, latency: LatencyRecord | None) -> OpenRig:
@@ -325,7 +302,25 @@ def _connect_real(rig: Rig, scene: Scene | None, latency: LatencyRecord | None) 
     trigger: Trigger = SoftwareTrigger(camera)
     if isinstance(rig.trigger, RealTriggerConfig):
         trigger = make_trigger(rig.trigger)
-    camera_can, projector_can = _open_all(camera, projector, trigger)
+    return _opened(rig, scene, latency, (camera, projector, trigger), world)
+
+
+def _opened(
+    rig: Rig,
+    scene: Scene | None,
+    latency: LatencyRecord | None,
+    devices: tuple[Camera, Projector, Trigger],
+    world: World | RealWorld,
+) -> OpenRig:
+    """Open all devices, or none: one that fails closes the others."""
+    camera, projector, trigger = devices
+    try:
+        camera_can, projector_can = camera.open(), projector.open()
+        trigger.open()
+    except BaseException:
+        for device in (projector, trigger, camera):
+            device.close()
+        raise
     return OpenRig(
         config=rig,
         scene=scene,
@@ -340,20 +335,6 @@ def _connect_real(rig: Rig, scene: Scene | None, latency: LatencyRecord | None) 
         simulation=None,
         _world=world,
     )
-
-
-def _open_all(
-    camera: Camera, projector: Projector, trigger: Trigger
-) -> tuple[CameraCapabilities, ProjectorCapabilities]:
-    """Open all devices, or none: one that fails closes the others."""
-    try:
-        camera_can, projector_can = camera.open(), projector.open()
-        trigger.open()
-    except BaseException:
-        for device in (projector, trigger, camera):
-            device.close()
-        raise
-    return camera_can, projector_can
 
 
 def projector_capabilities(rig: Rig, latency: LatencyRecord | None) -> ProjectorCapabilities:
