@@ -12,6 +12,7 @@ from analysis.transport.slab_grid import SlabGrid, graded_depths, polar_angles
 from analysis.transport.slab_second import angles_for
 
 CROWDING = 1.25
+LEVEL = 0.7  # of `SlabGrid`, under white light; under stripes no light gets far
 
 
 def depths(sigma_t_per_mm: float, slab: Slab, *, fineness: float) -> Array:
@@ -46,4 +47,5 @@ def directions(
         n_phi=n_phi,
         degree=round(min(n_forward, 10.0 + 14.0 * g**2)),
         n_second=max(6, round(min(fineness, 1.0) * angles_for(g))),
+        level=LEVEL / (1.0 + (wavenumber_per_mm * slab.height_mm) ** 2),
     )
