@@ -85,12 +85,13 @@ class Layer:
 
 
 def fit_layer(
-    pictures: Pictures, setup: Setup, config: Analysis, decay: Decay, joint: Joint
+    pictures: Pictures, setup: Setup, config: Analysis, decay: Decay, joint: Joint | None
 ) -> Layer | None:
     """Fit sigma_t, sigma_s and g of a layer, if the height of the liquid is known.
 
     Where it is not, and a plane does not explain the light, a layer of some height is tried, and
-    said to be one if it does; None if nothing is to be said.
+    said to be one if it does; None if nothing is to be said. ``joint`` is the plane's fit, None
+    where nobody made it.
     """
     slab = None if setup.tank is None else setup.tank.slab()
     guess = decay.attenuation.sigma_t_per_mm
@@ -160,12 +161,19 @@ def profiles_of(seen: Seen, pixel_mm: float, sigma_t_per_mm: float) -> tuple[Sla
     ), sharp
 
 
-def _looks_like_layer(pictures: Pictures, setup: Setup, decay: Decay, joint: Joint) -> str | None:
+def _looks_like_layer(
+    pictures: Pictures, setup: Setup, decay: Decay, joint: Joint | None
+) -> str | None:
     """Return a warning where a layer explains the light far better than the plane does.
 
     The projector's leak, where no black picture takes it away, is enough to miss a plane.
     """
-    if joint.fit is None or joint.fit.chi2_per_dof < OFF_PLANE or pictures.black_variance is None:
+    if (
+        joint is None
+        or joint.fit is None
+        or joint.fit.chi2_per_dof < OFF_PLANE
+        or pictures.black_variance is None
+    ):
         return None
     guess = decay.attenuation.sigma_t_per_mm
     height_mm = TRIED_HEIGHT / guess

@@ -34,7 +34,9 @@ def directions(
     fineness : one leaves about 0.1 % of a sum of orders; directions grow with its square
     """
     phase = min(wavenumber_per_mm * slab.height_mm, 40.0)
-    n_forward = max(6, round(fineness * (10.0 + 8.0 * g**2 + 0.1 * phase)))
+    # Under stripes directions near the beam get out of step with depth: more keep that apart.
+    ahead = (10.0 + 8.0 * g**2 + 0.1 * phase) * (1.0 + 0.35 * min(0.2 * phase, 1.0))
+    n_forward = max(6, round(fineness * ahead))
     n_backward = max(4, round(fineness * (6.0 + 6.0 * g**4)))
     wave = phase * (0.15 + 0.15 * g**8)
     n_phi = 2 * max(2, round(0.5 * fineness * (10.0 + 4.0 * g**2 + wave)))
