@@ -48,6 +48,7 @@ class Layer:
     harmonics, white : (n_periods, n_x) and (n_x,), the fit's light in the units of what was
         observed; NaN where it was not fitted
     contrast : (n_periods,), c1 of the stripes
+    height_std_mm, index_std : how well height and index are known; None where nobody said
     """
 
     slab: Slab | None
@@ -57,6 +58,8 @@ class Layer:
     white: Array
     contrast: Array
     notes: tuple[str, ...]
+    height_std_mm: float | None = None
+    index_std: float | None = None
 
     @classmethod
     def without_fit(cls, slab: Slab | None, note: str) -> Layer:
@@ -71,6 +74,16 @@ class Layer:
             contrast=none,
             notes=(note,),
         )
+
+    def walls_std(self) -> Array | None:
+        """Return what is not known of height and index makes of the answer, (3,).
+
+        None where nobody said how well either is known.
+        """
+        if self.fit is None or (self.height_std_mm is None and self.index_std is None):
+            return None
+        by_height = self.fit.by_height * (self.height_std_mm or 0.0)
+        return np.hypot(by_height, self.fit.by_index * (self.index_std or 0.0))
 
     @property
     def medium(self) -> Medium | None:
@@ -115,6 +128,8 @@ def fit_layer(
         white=model[-1],
         contrast=sharp * fit.scales[:-1] / fit.scales[-1],
         notes=(*of_table, *_doubts(fit, slab), *_near_walls(decay, fit)),
+        height_std_mm=setup.tank.height_std_mm if setup.tank else None,
+        index_std=setup.tank.index_std if setup.tank else None,
     )
 
 
