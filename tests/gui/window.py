@@ -79,7 +79,7 @@ class Display:
     def stop(self) -> None:
         """End the server."""
         self._process.terminate()
-        self._process.wait(timeout=10)
+        self._process.wait(timeout=60)
 
 
 Open = Callable[..., "Window"]

@@ -97,7 +97,7 @@ def test_ctrl_c_again_and_again_leaves_a_session_that_can_be_resumed(
     with subprocess.Popen(
         [sys.executable, "-c", code, *map(str, words)], stderr=subprocess.PIPE, text=True
     ) as child:
-        until = time.monotonic() + 60.0
+        until = time.monotonic() + 300.0
         while not list((tmp_path / "d").glob("*/*/frames/*.tif")):
             assert child.poll() is None
             assert time.monotonic() < until
@@ -106,7 +106,7 @@ def test_ctrl_c_again_and_again_leaves_a_session_that_can_be_resumed(
             assert time.monotonic() < until
             child.send_signal(signal.SIGINT)
             time.sleep(0.005)
-        _, said = child.communicate(timeout=30.0)
+        _, said = child.communicate(timeout=300.0)
     assert child.returncode == 130
     assert said == "labrig: interrupted; what was saved stays saved.\n"
     (path,) = (tmp_path / "d").glob("*/*/")

@@ -20,7 +20,7 @@ from labrig.session_lock import holder
 
 KINDS = sorted(set(FaultKind.__args__) - {"kill"})
 STANDING = (State.IDLE, State.PAUSED)  # where a run waits for a command, and tells of nothing
-WAITS_S = 20.0  # of real time, after which a run counts as stuck
+WAITS_S = 60.0  # of real time, after which a run counts as stuck
 
 
 class AnyRun(RuleBasedStateMachine):

@@ -82,7 +82,7 @@ def logged_disk(tmp_path: Path) -> Iterator[tuple[Path, Path, Path]]:
     server.mkdir()
     code = [sys.executable, block_log.__file__, str(image), str(log), str(server)]
     with subprocess.Popen(code) as process:
-        until = time.monotonic() + 20.0
+        until = time.monotonic() + 60.0
         while not (server / "disk").exists():
             assert process.poll() is None
             assert time.monotonic() < until

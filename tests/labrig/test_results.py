@@ -252,7 +252,7 @@ def test_headless_script_runs(
         capture_output=True,
         text=True,
         check=False,
-        timeout=120,
+        timeout=300,
         cwd=tmp_path,
         env={key: value for key, value in os.environ.items() if key != "DISPLAY"},
     )
