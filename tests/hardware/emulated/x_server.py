@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from deadlines import AT_ONCE_S
+from deadlines import far
 from numpy.typing import NDArray
 
 from emulated.needs import need
@@ -80,7 +80,7 @@ class XServer:
 
     def await_black(self) -> bool:
         """Return whether PROJ goes black by itself."""
-        end = time.monotonic() + AT_ONCE_S
+        end = far()
         while time.monotonic() < end:
             if not self.grab().any():
                 return True
