@@ -6,12 +6,15 @@ Spawned, not forked, for Tk and a fork do not go together. A helper ends when th
 from __future__ import annotations
 
 import multiprocessing as mp
+import os
 import queue
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any, Literal
+
+NICE = 5  # the window and the camera go first where processors are few
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,6 +152,7 @@ def _serve(pipe: Connection) -> None:
     from labrig import jobs  # noqa: PLC0415 - in the helper alone
     from labrig.errors import LabrigError  # noqa: PLC0415
 
+    os.nice(NICE)
     while True:
         try:
             number, name, arguments, options = pipe.recv()
