@@ -18,6 +18,7 @@ from analysis.stripe_aware import StripeAware, fit_stripe_aware
 from analysis.transport.ordinates import solve_on
 from calibration.errors import CalibrationError
 from labrig.config import parse
+from labrig.decay_step import Decay, attenuate
 from labrig.door import StripeSet
 from labrig.errors import AnalysisRefusedError
 from labrig.joint_step import (
@@ -35,8 +36,8 @@ from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
 from labrig.record import scale_c_of
 from labrig.rectify import Pictures
+from labrig.separation_step import separate
 from labrig.shown import Fitted
-from labrig.steps import Decay, attenuate, separate
 from labrig.views import followed
 
 Array = NDArray[np.float64]

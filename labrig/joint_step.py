@@ -30,10 +30,10 @@ from analysis.stripe_aware import (
 from analysis.stripe_problem import WHITE_TAU, Observed
 from analysis.transport.side_walls import side_wall_loss
 from calibration.errors import CalibrationError
+from labrig.decay_step import Decay
 from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
 from labrig.rectify import Pictures, Series
-from labrig.steps import Decay
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -7,8 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
+from labrig.bounces_step import explain, render_bounces
 from labrig.config import parse
 from labrig.corrections import gather, shone
+from labrig.decay_step import attenuate
 from labrig.joint_step import fit_joint
 from labrig.linearise import linearise
 from labrig.models.analysis import Analysis
@@ -18,10 +20,10 @@ from labrig.record_fields import fields_of
 from labrig.rectify import rectify
 from labrig.remainder import remainder
 from labrig.results import Result, results_of, write_results, written
+from labrig.separation_step import separate
 from labrig.session import Session
 from labrig.slab_picture import as_layer
 from labrig.slab_step import fit_layer
-from labrig.steps import attenuate, explain, render_bounces, separate
 
 Until = Literal["separation", "results"]
 

@@ -17,12 +17,15 @@ from numpy.typing import NDArray
 from analysis.attenuation import Attenuation
 from analysis.separation_quality import closure, harmonic_ratio, stripe_residue
 from analysis.stripe_aware import StripeAware
+from labrig.bounces_step import POOR_FIT, Explained
 from labrig.corrections import Corrections
+from labrig.decay_step import Decay
 from labrig.joint_step import Joint
 from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
 from labrig.rectify import Pictures
 from labrig.remainder import Remainder
+from labrig.separation_step import Separated
 from labrig.session import Session
 from labrig.slab_record import (
     METHOD,
@@ -33,7 +36,6 @@ from labrig.slab_record import (
     layer_quality,
 )
 from labrig.slab_step import Layer
-from labrig.steps import POOR_FIT, Decay, Explained, Separated
 
 Array = NDArray[np.float64]
 

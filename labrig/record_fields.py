@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from analysis.attenuation import Attenuation
 from analysis.light_field import BounceField
 from analysis.profile import DepthProfile
+from labrig.bounces_step import Explained
+from labrig.decay_step import Decay
 from labrig.joint_step import Joint
 from labrig.record import Outcome, bright, closure_of, scale_c_of
 from labrig.remainder import Remainder
 from labrig.results import Field
 from labrig.slab_picture import scale_c_of as slab_scale_c_of
 from labrig.slab_record import layer_fields
-from labrig.steps import Decay, Explained
 
 
 def fields_of(outcome: Outcome) -> tuple[dict[str, Field], dict[str, Any]]:

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from analysis.light_field import Grid
 from analysis.stripe_problem import FACE_ERROR, MODEL_ERROR
 from analysis.white_picture import white_picture
+from labrig.decay_step import Decay
 from labrig.joint_step import Joint
 from labrig.models.setup import Setup
 from labrig.rectify import Pictures, Series
-from labrig.steps import Decay
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from analysis.slab_field import slab_bounces
 from analysis.stripe_problem import FACE_ERROR, MODEL_ERROR
+from labrig.bounces_step import Explained
+from labrig.decay_step import Decay
 from labrig.models.analysis import Analysis
 from labrig.remainder import Remainder
 from labrig.slab_step import Layer
-from labrig.steps import Decay, Explained
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.slab_fit import SlabFit
+from labrig.bounces_step import Explained
+from labrig.decay_step import Decay
 from labrig.results import Field
 from labrig.slab_picture import scale_c_of
 from labrig.slab_step import Layer
-from labrig.steps import Decay, Explained
 
 Array = NDArray[np.float64]
 

@@ -20,12 +20,12 @@ from analysis.slab_table import STRIPED_ORDERS, camera_orders
 from analysis.stripe_problem import FACE_ERROR, MODEL_ERROR, Observed, Problem
 from analysis.transport.slab_resolution import depths, directions
 from calibration.errors import CalibrationError
+from labrig.decay_step import Decay
 from labrig.joint_step import Joint, Seen, observe
 from labrig.models.analysis import Analysis
 from labrig.models.setup import WATER, Setup
 from labrig.rectify import Pictures
 from labrig.slab_tables import fit_by_kept, keep_table
-from labrig.steps import Decay
 
 Array = NDArray[np.float64]
 

@@ -11,11 +11,12 @@ import pytest
 import labrig
 from labrig.config import parse
 from labrig.corrections import gather
+from labrig.decay_step import attenuate
 from labrig.joint_step import fit_seen, observe, walls_of
 from labrig.linearise import linearise
 from labrig.models.setup import Setup
 from labrig.rectify import rectify
-from labrig.steps import attenuate, separate
+from labrig.separation_step import separate
 
 FOLDER = labrig.config_folder()
 PLAN = {

@@ -9,15 +9,16 @@ import labrig
 from labrig import report_page
 from labrig.config import parse
 from labrig.corrections import gather, shone
+from labrig.decay_step import attenuate
 from labrig.figures_slab import layer_figure
 from labrig.joint_step import fit_joint
 from labrig.linearise import linearise
 from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
 from labrig.rectify import rectify
+from labrig.separation_step import separate
 from labrig.session import Session
 from labrig.slab_step import fit_layer
-from labrig.steps import attenuate, separate
 
 SCENE = """\
 schema: labrig-scene/1
