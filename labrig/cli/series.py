@@ -43,8 +43,8 @@ def series(
     out.mkdir(parents=True, exist_ok=True)
     table = out / "series.csv"
     write_csv(found, table)
-    from labrig.drawing import save  # noqa: PLC0415 - matplotlib takes a second to load
-    from labrig.figures_inversion import series_figure  # noqa: PLC0415
+    from labrig.reporting.drawing import save  # noqa: PLC0415 - matplotlib takes a second to load
+    from labrig.reporting.figures_inversion import series_figure  # noqa: PLC0415
 
     save(series_figure(found), out / "series")
     if as_json:
@@ -105,8 +105,8 @@ def _say_fillings(found: Fillings, out: Path, as_json: bool) -> None:
     out.mkdir(parents=True, exist_ok=True)
     table = out / "heights.csv"
     write_fillings(found, table)
-    from labrig.drawing import save  # noqa: PLC0415 - matplotlib takes a second to load
-    from labrig.figures_slab import fillings_figure  # noqa: PLC0415
+    from labrig.reporting.drawing import save  # noqa: PLC0415 - matplotlib takes a second to load
+    from labrig.reporting.figures_slab import fillings_figure  # noqa: PLC0415
 
     save(fillings_figure(found), out / "heights")
     if as_json:

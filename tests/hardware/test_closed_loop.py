@@ -13,8 +13,8 @@ from emulated.tank import describe
 from emulated.x_server import XServer
 
 import labrig
-from labrig.capturing import prepare
-from labrig.run_state import Command, State
+from labrig.acquisition.capturing import prepare
+from labrig.acquisition.run_state import Command, State
 from labrig.session import Session
 
 ROWS, COLS = 24, 640

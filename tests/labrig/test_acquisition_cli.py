@@ -16,14 +16,14 @@ import toy
 
 import labrig
 from drivers.errors import SettingRefusedError
-from labrig.capturing import capture
+from labrig.acquisition.capturing import capture
+from labrig.acquisition.estimate import estimate
+from labrig.acquisition.probe import resolve
+from labrig.acquisition.run_state import State
 from labrig.errors import RunError
-from labrig.estimate import estimate
 from labrig.plan import blocks_of, expand
-from labrig.probe import resolve
-from labrig.run_state import State
 from labrig.session import Session
-from labrig.session_lock import holder
+from labrig.session.lock import holder
 
 
 def test_check_prints_costs_and_verdicts(command, small_plan, small_rig, tmp_path) -> None:

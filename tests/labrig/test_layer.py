@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 
 import labrig
-from labrig import report_page
 from labrig.config import parse
-from labrig.corrections import gather, shone
-from labrig.decay_step import attenuate
-from labrig.figures_slab import layer_figure
-from labrig.joint_step import fit_joint
-from labrig.linearise import linearise
 from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
-from labrig.rectify import rectify
-from labrig.separation_step import separate
+from labrig.reporting import report_page
+from labrig.reporting.figures_slab import layer_figure
 from labrig.session import Session
-from labrig.slab_step import fit_layer
+from labrig.steps.corrections import gather, shone
+from labrig.steps.decay import attenuate
+from labrig.steps.joint import fit_joint
+from labrig.steps.linearise import linearise
+from labrig.steps.rectify import rectify
+from labrig.steps.separation import separate
+from labrig.steps.slab import fit_layer
 
 SCENE = """\
 schema: labrig-scene/1

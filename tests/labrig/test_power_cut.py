@@ -21,12 +21,11 @@ import numpy as np
 import pytest
 import toy
 
-from labrig import keeper
-from labrig.catalogue import catalogue
-from labrig.run_state import State
-from labrig.session import Session, verify
-from labrig.session_items import Item
-from labrig.session_writer import SessionWriter
+from labrig.acquisition.run_state import State
+from labrig.session import Session, keeper, verify
+from labrig.session.catalogue import catalogue
+from labrig.session.items import Item
+from labrig.session.writer import SessionWriter
 
 # `make torture` cuts at every flush and twice between
 CUTS = int(os.environ.get("LABRIG_CUTS", "20"))

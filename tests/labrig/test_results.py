@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 import labrig
 from labrig.models.analysis import Analysis
-from labrig.record import code_digest
 from labrig.session import Session
-from labrig.session_format import sha256_of
+from labrig.session.format import sha256_of
+from labrig.steps.record import code_digest
 
 Counts = NDArray[np.uint16]
 Complaint = Callable[..., str]

@@ -16,13 +16,13 @@ import pytest
 import toy
 from deadlines import ends_within
 
+from labrig.acquisition.run_state import Command, State
+from labrig.acquisition.sequence import Step
 from labrig.errors import RunError, SessionError, SessionLockedError
-from labrig.run_state import Command, State
-from labrig.sequence import Step
 from labrig.session import Session, verify
-from labrig.session_items import Item
-from labrig.session_recovery import reopen
-from labrig.session_writer import SessionWriter
+from labrig.session.items import Item
+from labrig.session.recovery import reopen
+from labrig.session.writer import SessionWriter
 
 # `make torture` kills 500 times
 KILLS = int(os.environ.get("LABRIG_KILLS", "50"))

@@ -12,10 +12,10 @@ import pytest
 import toy
 
 from drivers.errors import DeadlineError
-from labrig.run_state import ENDS, NEXT, TAKES, Command, Event, State
-from labrig.sequence import Step
+from labrig.acquisition.run_state import ENDS, NEXT, TAKES, Command, Event, State
+from labrig.acquisition.sequence import Step
 from labrig.session import Session, verify
-from labrig.session_lock import holder
+from labrig.session.lock import holder
 
 SHOT = "stripes-e0-r0-p02"
 WAITS = 60.0  # s of real time, after which a run counts as stuck

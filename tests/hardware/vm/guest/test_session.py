@@ -69,7 +69,7 @@ def bench(load, tmp_path, monkeypatch):
     # devices need more time where the processor is emulated, emulates a camera too and is starved
     monkeypatch.setattr("drivers.projector.window_process.START_S", 90.0)
     monkeypatch.setattr("drivers.projector.second_screen.LOAD_S", 30.0)
-    monkeypatch.setattr("labrig.sequence.MARGIN_S", 30.0)
+    monkeypatch.setattr("labrig.acquisition.sequence.MARGIN_S", 30.0)
     load("vhci-hcd")
     load("uvcvideo")
     server = XServer(tmp_path, right=(COLS, ROWS))
