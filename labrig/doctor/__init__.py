@@ -11,8 +11,8 @@ from importlib import metadata
 from pathlib import Path
 
 from labrig.doctor.devices import of_rig, plugged_in
-from labrig.doctor.disk import disk
 from labrig.doctor.finding import Finding
+from labrig.doctor.storage import disk
 from labrig.models.rig import Rig
 
 PACKAGES = ("labrig", "numpy", "scipy", "numba", "opencv-contrib-python-headless", "tifffile")
