@@ -7,13 +7,13 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from labrig import calibration_records as _calibration_records
 from labrig import config as _config
 from labrig import results as _results
 from labrig import rig as _rig
 from labrig import session as _session
 from labrig.acquisition import capturing as _capturing
-from labrig.calibrating import store as _calibration_store
-from labrig.config import config_folder
+from labrig.folders import config_folder
 from labrig.models.analysis import Analysis
 from labrig.models.calibration import BoardFile, RecordFile
 from labrig.models.plan import Plan
@@ -286,7 +286,7 @@ def calibrate(
 
 def read_calibration(path: StrPath) -> RecordFile:
     """Read a calibration record; raise `labrig.errors.ConfigError` if it is none or damaged."""
-    return _calibration_store.read_record(Path(path))[0]
+    return _calibration_records.read_record(Path(path))[0]
 
 
 def report_calibration(record: StrPath, out: StrPath | None = None) -> Path:
@@ -353,7 +353,7 @@ def report(
     from labrig.reporting.report_page import write_report  # noqa: PLC0415 - to load
 
     place = None if out is None else Path(out)
-    if not isinstance(result, Result) and _calibration_store.is_record(Path(result)):
+    if not isinstance(result, Result) and _calibration_records.is_record(Path(result)):
         return report_calibration(result, out)
     found = result if isinstance(result, Result) else read_results(Path(result))
     if beside is None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import labrig
-from labrig.config import config_folder
+from labrig.folders import config_folder
 
 if TYPE_CHECKING:
     from labrig.scene.picture import Truth

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from calibration.record import HEEDED, MAX_AGE
-from labrig.calibrating.store import read_record
+from labrig.calibration_records import read_record
 from labrig.models.calibration import QuantityFile, RecordFile
 from labrig.reporting import figures_calibration
 from labrig.reporting.page import Plate, plates, templates, write_page

@@ -11,7 +11,7 @@ from labrig.calibrating.board import load_board
 from labrig.calibrating.camera import RECORDS, Source, flat_record
 from labrig.calibrating.optics import geometry_record, projector_record
 from labrig.calibrating.response import response_record
-from labrig.calibrating.store import read_record, write_record
+from labrig.calibration_records import read_record, write_record
 from labrig.errors import AnalysisRefusedError, ConfigError
 from labrig.steps.corrections import dark_of
 

@@ -14,8 +14,8 @@ import labrig
 from labrig.accuracy.costs import Costs, Run, write_csv
 from labrig.accuracy.scene import cost_of_realism
 from labrig.cli.say import AsJson, bars, out_console, say, say_json
-from labrig.config import config_folder
 from labrig.errors import RunError
+from labrig.folders import config_folder
 
 if TYPE_CHECKING:
     from labrig.accuracy.capture import CaptureCosts, Priced

@@ -11,9 +11,9 @@ from rich.table import Table
 
 import labrig
 from labrig.acquisition.capturing import prepare, prepare_resume
-from labrig.cli.exits import EXIT_DAMAGED
 from labrig.cli.live import drive
 from labrig.cli.say import AsJson, bars, one, out_console, say, say_json, say_session
+from labrig.exits import EXIT_DAMAGED
 from labrig.session.catalogue import catalogue
 
 

@@ -13,9 +13,9 @@ import labrig
 from labrig.acquisition.estimate import Seconds, estimate
 from labrig.acquisition.preflight import Verdict, check_all
 from labrig.acquisition.probe import Probed, probe, resolve
-from labrig.cli.exits import EXIT_BAD_INPUT
 from labrig.cli.say import AsJson, bars, one, out_console, say, say_json
 from labrig.config import latency_beside
+from labrig.exits import EXIT_BAD_INPUT
 from labrig.plan import CapturePlan, expand
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
-from labrig.config import config_folder
 from labrig.errors import RunError
+from labrig.folders import config_folder
 
 INSTALLED = Path("/etc/udev/rules.d/70-labrig.rules")
 

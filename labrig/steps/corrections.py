@@ -20,7 +20,7 @@ from calibration.model import CameraModel
 from calibration.projector import ProjectorGamma
 from calibration.record import Conditions, Record, validity
 from calibration.response import table_response
-from labrig.calibrating.store import read_record
+from labrig.calibration_records import read_record
 from labrig.errors import AnalysisRefusedError
 from labrig.models.analysis import Analysis
 from labrig.models.calibration import RecordFile

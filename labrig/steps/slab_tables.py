@@ -15,7 +15,7 @@ from analysis.slab_profiles import SlabProfiles
 from analysis.slab_search import Contrasts
 from analysis.slab_table import VERSION, Range, SlabTable
 from analysis.transport.slab_resolution import depths
-from labrig.scene.cache import cache_folder
+from labrig.folders import cache_folder
 
 WIDE, ROOM_G = 1.35, 0.15  # of a table about a medium: factor in sigma_t, to each side of g
 G_LIMITS = (-0.5, 0.95)
