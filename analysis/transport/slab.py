@@ -237,8 +237,8 @@ def _scatter(light: _Light, scattering: Scattering, sigma_t: float) -> tuple[_Li
 
 def _fluence(even: Array, grid: SlabGrid) -> Array:
     """Return the integral over all directions of the mean over the height, (n_x,)."""
-    per_phi = 2.0 * np.pi / grid.n_phi
-    return np.asarray(per_phi * (grid.weight @ even[:, :, 0].sum(axis=0)))
+    mean = np.tensordot(grid.phi_weight, even[:, :, 0], axes=1)
+    return np.asarray(2.0 * np.pi * (grid.weight @ mean))
 
 
 def _bearing(light: _Light, to_bearings: Array) -> ComplexArray:
@@ -256,7 +256,7 @@ def _bearing(light: _Light, to_bearings: Array) -> ComplexArray:
 
 def _escape(even: Array, grid: SlabGrid) -> Array:
     """Return the net flux out through surface and floor, (n_x,)."""
-    climb = grid.cosines[2] * grid.weight * (2.0 * np.pi / grid.n_phi)
+    climb = 2.0 * np.pi * grid.cosines[2] * np.outer(grid.phi_weight, grid.weight)
     sign = (-1.0) ** np.arange(grid.n_z)
     surface = np.einsum("pt,ptzx->x", climb, even)
     floor = np.einsum("pt,ptzx,z->x", np.minimum(climb, 0.0), even, sign)
@@ -265,8 +265,8 @@ def _escape(even: Array, grid: SlabGrid) -> Array:
 
 def _ends(even: Array, grid: SlabGrid) -> Array:
     """Return the flux out through face and far wall, times exp(sigma_t x), (2,)."""
-    along = np.cos(grid.theta_rad) * grid.weight * (2.0 * np.pi / grid.n_phi)
-    mean = even[:, :, 0].sum(axis=0)
+    along = 2.0 * np.pi * np.cos(grid.theta_rad) * grid.weight
+    mean = np.tensordot(grid.phi_weight, even[:, :, 0], axes=1)
     return np.array([-np.minimum(along, 0.0) @ mean[:, 0], np.maximum(along, 0.0) @ mean[:, -1]])
 
 

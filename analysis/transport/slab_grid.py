@@ -19,8 +19,9 @@ class SlabGrid:
     """Depths, polynomials and directions; directions with mu_y < 0 follow from symmetry.
 
     Directions are counted from the beam: mu_x = cos(theta), mu_z = sin(theta) cos(phi), mu_y =
-    sin(theta) sin(phi). Azimuths phi are even in 0 .. pi, so that the surface's mirror maps one
-    on another.
+    sin(theta) sin(phi). Azimuths phi in 0 .. pi are the surface's mirror images of one another.
+    They crowd around pi / 2, where light goes along the layer: the thinner that is, the narrower
+    is the fan of directions in which light gets far.
 
     Attributes
     ----------
@@ -28,6 +29,7 @@ class SlabGrid:
     n_z : Legendre polynomials over the height
     theta_rad, weight : (n_theta,), polar angles and what they weigh of d mu_x
     n_phi : azimuths in 0 .. pi, an even number
+    level : crowding of the azimuths, 0 .. 1: their spacing along the layer is less by this share
     degree : up to which scattering is expanded in spherical harmonics
     n_second : polar angles of the closed second order, see `second_order`
     """
@@ -39,6 +41,7 @@ class SlabGrid:
     n_phi: int
     degree: int
     n_second: int = 0
+    level: float = 0.0
 
     def __post_init__(self) -> None:
         if self.x_mm.size < 8 or self.n_z < 2 or self.n_phi < 2 or self.n_phi % 2:
@@ -56,7 +59,16 @@ class SlabGrid:
     @property
     def phi_rad(self) -> Array:
         """Azimuths, (n_phi,)."""
-        return np.pi * (np.arange(self.n_phi) + 0.5) / self.n_phi
+        return self._crowded(np.pi * (np.arange(self.n_phi) + 0.5) / self.n_phi)
+
+    @property
+    def phi_weight(self) -> Array:
+        """What each azimuth weighs of 0 .. pi, (n_phi,); they add up to one."""
+        even = np.pi * (np.arange(self.n_phi) + 0.5) / self.n_phi
+        return np.asarray((1.0 + self.level * np.cos(2.0 * even)) / self.n_phi)
+
+    def _crowded(self, even: Array) -> Array:
+        return np.asarray(even + 0.5 * self.level * np.sin(2.0 * even))
 
     @property
     def cosines(self) -> tuple[Array, Array, Array]:
@@ -75,7 +87,7 @@ class SlabGrid:
         (n_phi / 2 + 1,) and (n_theta + 1,).
         """
         between = 0.5 * (self.theta_rad[1:] + self.theta_rad[:-1])
-        phi = np.linspace(0.0, 0.5 * np.pi, self.n_phi // 2 + 1)
+        phi = self._crowded(np.linspace(0.0, 0.5 * np.pi, self.n_phi // 2 + 1))
         return phi, np.concatenate([[0.0], between, [np.pi]])
 
 
@@ -118,7 +130,7 @@ def bearings_of(grid: SlabGrid, n_bearings: int) -> Array:
     found = np.zeros(shape)
     for n in np.unique(place):
         found[n] = by_phi @ np.where(place == n, area, 0.0) @ by_theta.T
-    whole = 2.0 * np.pi / grid.n_phi * grid.weight  # both halves of y together
+    whole = 2.0 * np.pi * np.outer(grid.phi_weight, grid.weight)  # both halves of y together
     found *= 0.5 * whole / found.sum(axis=0)
     return found * n_bearings / (2.0 * np.pi)
 
@@ -165,7 +177,7 @@ class Scattering:
         """Return the integral for an asymmetry g."""
         n_m = min(grid.degree, grid.n_phi - 1) + 1
         m = np.arange(n_m)[:, None]
-        twice = np.where(m, 2.0, 1.0) / grid.n_phi
+        twice = np.where(m, 2.0, 1.0) * grid.phi_weight
         ahead = g ** (grid.degree + 1)
         moments = g ** np.arange(grid.degree + 1, dtype=np.float64) - ahead
         mu = np.append(np.cos(grid.theta_rad), 0.0)

@@ -12,6 +12,7 @@ from analysis.transport.slab_grid import SlabGrid, graded_depths, polar_angles
 from analysis.transport.slab_second import angles_for
 
 CROWDING = 1.25
+LEVEL = 0.7  # of `SlabGrid`, under white light; under stripes no light gets far
 
 
 def depths(sigma_t_per_mm: float, slab: Slab, *, fineness: float) -> Array:
@@ -33,7 +34,9 @@ def directions(
     fineness : one leaves about 0.1 % of a sum of orders; directions grow with its square
     """
     phase = min(wavenumber_per_mm * slab.height_mm, 40.0)
-    n_forward = max(6, round(fineness * (10.0 + 8.0 * g**2 + 0.1 * phase)))
+    # Under stripes directions near the beam get out of step with depth: more keep that apart.
+    ahead = (10.0 + 8.0 * g**2 + 0.1 * phase) * (1.0 + 0.35 * min(0.2 * phase, 1.0))
+    n_forward = max(6, round(fineness * ahead))
     n_backward = max(4, round(fineness * (6.0 + 6.0 * g**4)))
     wave = phase * (0.15 + 0.15 * g**8)
     n_phi = 2 * max(2, round(0.5 * fineness * (10.0 + 4.0 * g**2 + wave)))
@@ -46,4 +49,5 @@ def directions(
         n_phi=n_phi,
         degree=round(min(n_forward, 10.0 + 14.0 * g**2)),
         n_second=max(6, round(min(fineness, 1.0) * angles_for(g))),
+        level=LEVEL / (1.0 + (wavenumber_per_mm * slab.height_mm) ** 2),
     )

@@ -22,8 +22,10 @@ MEDIA = {  # sigma_t in 1/mm, albedo, g; width of the tank in mm, lit part, mill
 DEPTH_MM, PIXEL_MM = 60, 0.1
 
 
-def analysed(name: str, height_mm: float, index: float, folder: Path) -> dict:
-    """Capture a medium in a layer, and return run.json of its analysis."""
+def prepared(
+    name: str, height_mm: float, index: float, *, period_px: int = 12, seed: int = 1
+) -> tuple[labrig.Plan, labrig.Rig, labrig.Scene]:
+    """Return how a medium in a layer is captured: stripes of a period, and the noise's seed."""
     sigma_t, albedo, g, width_mm, lit_mm, millions = MEDIA[name]
     scene = parse(
         {
@@ -46,9 +48,21 @@ def analysed(name: str, height_mm: float, index: float, folder: Path) -> dict:
     rows, cols = round(width_mm / PIXEL_MM), round(DEPTH_MM / PIXEL_MM)
     rig = labrig.load_rig(config_folder() / "rigs" / "simulated.yaml")
     geometry = rig.geometry.model_copy(update={"region_px": (0, 0, cols, rows)})
-    camera = rig.camera.model_copy(update={"rows": rows, "cols": cols})
+    camera = rig.camera.model_copy(update={"rows": rows, "cols": cols, "seed": seed})
     rig = rig.model_copy(update={"geometry": geometry, "camera": camera})
     plan = labrig.load_plan(config_folder() / "plans" / "six-shifts.yaml")
+    sets = [
+        one.model_copy(update={"pattern": one.pattern.model_copy(update={"period_px": period_px})})
+        if one.pattern.kind == "stripes"
+        else one
+        for one in plan.sets
+    ]
+    return plan.model_copy(update={"sets": tuple(sets)}), rig, scene
+
+
+def analysed(name: str, height_mm: float, index: float, folder: Path) -> dict:
+    """Capture a medium in a layer, and return run.json of its analysis."""
+    plan, rig, scene = prepared(name, height_mm, index)
     with labrig.open_rig(rig, scene, plan) as opened:
         session = labrig.capture(plan, opened, folder)
     return dict(labrig.analyse(session).run)

@@ -42,6 +42,8 @@ def analyse(
             std = "—" if found["std"] is None else f"{found['std']:.2g}"
             unknown = found["value"] is None
             told = "not determined" if unknown else f"{found['value']:.5g} ± {std}"
+            if found.get("walls_std"):
+                told += f" ± {found['walls_std']:.2g} (height, index)"
             table.add_row(name, told)
     closure = result.run["quality"].get("closure")
     if closure is not None and closure["mean"] is not None:

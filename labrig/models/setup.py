@@ -69,6 +69,10 @@ class LayerConfig(Model):
     surface_index: float = Field(
         WATER, description="of the liquid against what is above; 1 for a surface without reflection"
     )
+    height_std_mm: NonNegative | None = Field(
+        None, description="how well the height is known; what it does to the answer is stated"
+    )
+    index_std: NonNegative | None = Field(None, description="the same of the index")
 
     @model_validator(mode="after")
     def _is_a_layer(self) -> LayerConfig:
@@ -87,12 +91,17 @@ class TankConfig(Model):
     surface_index: float | None = Field(
         None, description=f"of the liquid against what is above; {WATER} if left out"
     )
+    height_std_mm: NonNegative | None = Field(
+        None, description="how well the height is known; what it does to the answer is stated"
+    )
+    index_std: NonNegative | None = Field(None, description="the same of the index")
 
     @model_validator(mode="after")
     def _is_filled(self) -> TankConfig:
-        if self.height_mm is None and self.surface_index is not None:
-            msg = "surface_index says nothing without height_mm; give the liquid's height too"
-            raise ValueError(msg)
+        for name in ("surface_index", "height_std_mm", "index_std"):
+            if self.height_mm is None and getattr(self, name) is not None:
+                msg = f"{name} says nothing without height_mm; give the liquid's height too"
+                raise ValueError(msg)
         self.slab()
         return self
 

@@ -80,7 +80,10 @@ def parameter_rows(
 def _measured(found: Mapping[str, Any] | None) -> str:
     if found is None:
         return UNKNOWN
-    return "not determined" if found["value"] is None else with_std(found["value"], found["std"])
+    if found["value"] is None:
+        return "not determined"
+    told = with_std(found["value"], found["std"])
+    return f"{told} ± {found['walls_std']:.2g} (height, index)" if found.get("walls_std") else told
 
 
 def _off(value: float, true: float, *, relative: bool = True) -> str:
@@ -92,7 +95,9 @@ def _off(value: float, true: float, *, relative: bool = True) -> str:
 
 def _absorption_std(run: Mapping[str, Any]) -> float | None:
     """Return the std of sigma_t less sigma_s; None where their covariance is not recorded."""
-    covariance = run.get("quality", {}).get("stripe_aware", {}).get("covariance")
+    quality = run.get("quality", {})
+    of_model = quality.get("slab") or quality.get("stripe_aware") or {}
+    covariance = of_model.get("covariance")
     if covariance is None:
         return None
     (tt, ts, *_), (_, ss, *_), *_ = covariance

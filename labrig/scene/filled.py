@@ -28,8 +28,7 @@ def layered(scene: Scene, rig: Rig, plan: Plan) -> Scene:
             )
             raise PlanError(msg)
     if own is None and of_rig is not None:
-        told_tank = {"height_mm": of_rig.height_mm, "surface_index": of_rig.surface_index}
-        tank = scene.tank.model_copy(update=told_tank)
+        tank = scene.tank.model_copy(update=of_rig.model_dump())
         scene = scene.model_copy(update={"tank": tank})
     refuse_plan(plan, rig, scene.tank, scene.beam_inside())
     return scene
@@ -66,8 +65,7 @@ def tank_of(rig: Rig) -> TankConfig | None:
     return TankConfig(
         depth_mm=depth_px * geometry.mm_per_px,
         width_mm=width_px * geometry.mm_per_px,
-        height_mm=layer.height_mm,
-        surface_index=layer.surface_index,
+        **layer.model_dump(),
     )
 
 

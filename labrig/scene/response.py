@@ -29,6 +29,7 @@ from labrig.scene.layer import sample_layer
 from labrig.scene.stripes import FIRST
 
 VERSION = 1  # of the kept files; raise it when the Monte Carlo changes its answer
+NO_LIGHT = {"height_std_mm", "index_std"}  # of a tank: what changes nothing of its light
 HIGHER_SHARE = 8  # harmonics beyond the first two are followed by n_paths over this
 
 
@@ -175,7 +176,7 @@ def _key(scene: Scene, period_mm: float, harmonics: tuple[int, ...], walls: Wall
     question: dict[str, object] = {
         "version": VERSION,
         "medium": scene.medium.model_dump(),
-        "tank": scene.tank.model_dump(exclude_none=True),
+        "tank": scene.tank.model_dump(exclude_none=True, exclude=NO_LIGHT),
         "beam": scene.beam.model_dump(),
         "transport": {**scene.transport.model_dump(), "tail": scene.tail},
         "period_mm": period_mm,

@@ -48,6 +48,7 @@ class Layer:
     harmonics, white : (n_periods, n_x) and (n_x,), the fit's light in the units of what was
         observed; NaN where it was not fitted
     contrast : (n_periods,), c1 of the stripes
+    height_std_mm, index_std : how well height and index are known; None where nobody said
     """
 
     slab: Slab | None
@@ -57,6 +58,8 @@ class Layer:
     white: Array
     contrast: Array
     notes: tuple[str, ...]
+    height_std_mm: float | None = None
+    index_std: float | None = None
 
     @classmethod
     def without_fit(cls, slab: Slab | None, note: str) -> Layer:
@@ -72,6 +75,16 @@ class Layer:
             notes=(note,),
         )
 
+    def walls_std(self) -> Array | None:
+        """Return what is not known of height and index makes of the answer, (3,).
+
+        None where nobody said how well either is known.
+        """
+        if self.fit is None or (self.height_std_mm is None and self.index_std is None):
+            return None
+        by_height = self.fit.by_height * (self.height_std_mm or 0.0)
+        return np.hypot(by_height, self.fit.by_index * (self.index_std or 0.0))
+
     @property
     def medium(self) -> Medium | None:
         """The medium found; Eq. 2 on the sphere."""
@@ -85,12 +98,13 @@ class Layer:
 
 
 def fit_layer(
-    pictures: Pictures, setup: Setup, config: Analysis, decay: Decay, joint: Joint
+    pictures: Pictures, setup: Setup, config: Analysis, decay: Decay, joint: Joint | None
 ) -> Layer | None:
     """Fit sigma_t, sigma_s and g of a layer, if the height of the liquid is known.
 
     Where it is not, and a plane does not explain the light, a layer of some height is tried, and
-    said to be one if it does; None if nothing is to be said.
+    said to be one if it does; None if nothing is to be said. ``joint`` is the plane's fit, None
+    where nobody made it.
     """
     slab = None if setup.tank is None else setup.tank.slab()
     guess = decay.attenuation.sigma_t_per_mm
@@ -114,6 +128,8 @@ def fit_layer(
         white=model[-1],
         contrast=sharp * fit.scales[:-1] / fit.scales[-1],
         notes=(*of_table, *_doubts(fit, slab), *_near_walls(decay, fit)),
+        height_std_mm=setup.tank.height_std_mm if setup.tank else None,
+        index_std=setup.tank.index_std if setup.tank else None,
     )
 
 
@@ -160,12 +176,19 @@ def profiles_of(seen: Seen, pixel_mm: float, sigma_t_per_mm: float) -> tuple[Sla
     ), sharp
 
 
-def _looks_like_layer(pictures: Pictures, setup: Setup, decay: Decay, joint: Joint) -> str | None:
+def _looks_like_layer(
+    pictures: Pictures, setup: Setup, decay: Decay, joint: Joint | None
+) -> str | None:
     """Return a warning where a layer explains the light far better than the plane does.
 
     The projector's leak, where no black picture takes it away, is enough to miss a plane.
     """
-    if joint.fit is None or joint.fit.chi2_per_dof < OFF_PLANE or pictures.black_variance is None:
+    if (
+        joint is None
+        or joint.fit is None
+        or joint.fit.chi2_per_dof < OFF_PLANE
+        or pictures.black_variance is None
+    ):
         return None
     guess = decay.attenuation.sigma_t_per_mm
     height_mm = TRIED_HEIGHT / guess

@@ -27,8 +27,10 @@ MODEL = {
 METHOD = "stripes and white light together, all bounces of a layer (slab)"
 UNCERTAINTY = (
     "std is statistical: camera noise carried through the fit. model_std is what an error of 0.1 "
-    "percent of the model at every depth, and of the stripes' contrast, would add. Neither holds "
-    "what a wrong height or index does: see quality.slab.by_height and by_index."
+    "percent of the model at every depth, and of the stripes' contrast, would add. walls_std is "
+    "what the stated uncertainty of height and index adds; it is missing where the tank says "
+    "neither height_std_mm nor index_std, and no misfit shows such a mistake: see "
+    "quality.slab.by_height_per_mm and by_index."
 )
 
 
@@ -44,6 +46,10 @@ def layer_parameters(fit: SlabFit, layer: Layer, decay: Decay, unit: str) -> dic
         }
         for k, (name, value) in enumerate(zip(names, values, strict=True))
     }
+    of_walls = layer.walls_std()
+    if of_walls is not None:
+        for name, std in zip(names, of_walls, strict=True):
+            found[name]["walls_std"] = float(std)
     c = scale_c_of(layer, decay)
     of_c = {"value": c, "std": c * fit.scale_std / float(fit.scales[-1])}
     return {**found, "scale_c": of_c}
@@ -64,6 +70,8 @@ def layer_quality(layer: Layer, fit: SlabFit, plane: Mapping[str, Any]) -> dict[
         "covariance": fit.covariance.tolist(),
         "model_covariance": fit.model_covariance.tolist(),
         "correlation": fit.correlation.tolist(),
+        "height_std_mm": layer.height_std_mm,
+        "index_std": layer.index_std,
         "by_height_per_mm": fit.by_height.tolist(),
         "by_index": fit.by_index.tolist(),
         "contrast": layer.contrast.tolist(),

@@ -45,9 +45,9 @@ def sessions(small_rig, small_plan, tmp_path_factory):
     """The same liquid at two heights, captured and analysed: 5 s of processor time each."""
     folder, found = tmp_path_factory.mktemp("layers"), []
     plan = labrig.load_plan(small_plan)
-    for height in (5.0, 2.0):
+    for height, known in ((5.0, ", height_std_mm: 0.1, index_std: 0.02"), (2.0, "")):
         scene = folder / f"{height:g}.yaml"
-        scene.write_text(layered(height))
+        scene.write_text(layered(height, more=known))
         with labrig.open_rig(small_rig, labrig.load_scene(scene), plan) as rig:
             found.append(labrig.capture(plan, rig, folder))
         labrig.analyse(found[-1])
@@ -68,6 +68,22 @@ def test_the_medium_of_a_layer_is_found_where_a_plane_is_far_off(sessions):
     quality = run["quality"]["slab"]
     assert quality["chi2_per_dof_of_plane"] > 4.0 * quality["chi2_per_dof"]
     assert any("A height 5 % too large makes sigma_s -" in note for note in run["notes"])
+
+
+def test_what_is_not_known_of_height_and_index_is_told_beside_the_noise(sessions, command):
+    told, silent = (labrig.read_results(session).run for session in sessions)
+    quality = told["quality"]["slab"]
+    for k, name in enumerate(TRUTH):
+        by = (0.1 * quality["by_height_per_mm"][k], 0.02 * quality["by_index"][k])
+        assert told[name]["walls_std"] == pytest.approx(np.hypot(*by))
+        assert "walls_std" not in silent[name]
+    # 2 % of the height and 0.02 of index: measured 0.65 % of sigma_s, thrice the camera's noise
+    assert told["sigma_s_per_mm"]["walls_std"] > 0.004 * 0.15
+    said = command("analyse", sessions[0])
+    assert said.code == 0, said.err
+    assert "(height, index)" in said.out
+    page = report_page.render(labrig.read_results(sessions[0]), [], TRUTH)
+    assert "(height, index)" in page
 
 
 def test_bounces_and_light_field_are_those_of_the_layer(sessions):
@@ -144,6 +160,8 @@ def test_a_plane_says_what_looks_like_a_layer(sessions):
         (layered(float("nan")).replace("nan", ".nan"), "finite number"),
         (layered(5.0, more=", surface_index: .inf"), "finite number"),
         (SCENE.replace("width_mm: 24", "width_mm: 24, surface_index: 1.3"), "height_mm"),
+        (SCENE.replace("width_mm: 24", "width_mm: 24, height_std_mm: 0.1"), "height_mm"),
+        (layered(5.0, more=", height_std_mm: -0.1"), "height_std_mm"),
         (layered(5.0).replace("g: 0.3", "g: 0.3, phase: hg-paper"), "leave phase out"),
         (layered(0.05), "thinner than the stripes' blur of 0.075 mm"),
         (layered(5.0).replace("16.8}", "16.8, angle_deg: 5}"), "angle_deg = 5"),
