@@ -24,10 +24,11 @@ from labrig.config import parse
 from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
 from labrig.session import Session
-from labrig.steps import attenuate, separate
 from labrig.steps.corrections import gather, shone
+from labrig.steps.decay import attenuate
 from labrig.steps.linearise import linearise
 from labrig.steps.rectify import rectify
+from labrig.steps.separation import separate
 from labrig.steps.slab import fit_layer
 
 HEIGHTS_MM, INDICES, PERIODS_PX = (2.0, 5.0), (1.0, 1.33), (12, 6)

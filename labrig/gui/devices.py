@@ -21,7 +21,7 @@ from labrig.station.door import (
     Working,
 )
 from labrig.station.meters import Roi
-from labrig.station.station.starting import open_door
+from labrig.station.starting import open_door
 
 if TYPE_CHECKING:
     from labrig.gui.app import App
