@@ -7,14 +7,13 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from labrig import calibration_store as _calibration_store
-from labrig import capturing as _capturing
+from labrig import calibration_records as _calibration_records
 from labrig import config as _config
-from labrig import importing as _importing
 from labrig import results as _results
 from labrig import rig as _rig
 from labrig import session as _session
-from labrig.config import config_folder
+from labrig.acquisition import capturing as _capturing
+from labrig.folders import config_folder
 from labrig.models.analysis import Analysis
 from labrig.models.calibration import BoardFile, RecordFile
 from labrig.models.plan import Plan
@@ -24,6 +23,7 @@ from labrig.models.series import Concentrations
 from labrig.results import Result
 from labrig.rig import OpenRig
 from labrig.session import Problem, Session
+from labrig.session import importing as _importing
 
 if TYPE_CHECKING:
     from labrig.pipeline import Until
@@ -271,7 +271,7 @@ def calibrate(
     labrig.errors.LabrigError, calibration.errors.CalibrationError
         If the session does not hold what the kind needs, or nothing trustworthy comes of it.
     """
-    from labrig import calibration_run  # noqa: PLC0415 - loads OpenCV
+    from labrig.calibrating import run as calibration_run  # noqa: PLC0415 - loads OpenCV
 
     record = calibration_run.calibrate(
         kind,
@@ -286,12 +286,12 @@ def calibrate(
 
 def read_calibration(path: StrPath) -> RecordFile:
     """Read a calibration record; raise `labrig.errors.ConfigError` if it is none or damaged."""
-    return _calibration_store.read_record(Path(path))[0]
+    return _calibration_records.read_record(Path(path))[0]
 
 
 def report_calibration(record: StrPath, out: StrPath | None = None) -> Path:
     """Write figures and a self-contained HTML page of a calibration record; return the page."""
-    from labrig.calibration_page import write_record_page  # noqa: PLC0415 - matplotlib takes a second
+    from labrig.calibrating.page import write_record_page  # noqa: PLC0415 - matplotlib takes a second
 
     return write_record_page(Path(record), None if out is None else Path(out))
 
@@ -306,7 +306,7 @@ def draw_board(out: StrPath, **sizes: float) -> tuple[Path, ...]:
     labrig.errors.LabrigError, calibration.errors.CalibrationError
         If the sizes make no board, or the place cannot be written.
     """
-    from labrig import board  # noqa: PLC0415 - loads OpenCV
+    from labrig.calibrating import board  # noqa: PLC0415 - loads OpenCV
 
     content = {"schema": "labrig-board/1", **sizes}
     return board.draw_board(Path(out), _config.parse(content, BoardFile, source="board"))
@@ -349,11 +349,11 @@ def report(
     labrig.errors.SessionError
         If there are no results, or they are damaged.
     """
-    from labrig.beside_page import write_beside  # noqa: PLC0415 - matplotlib takes a second
-    from labrig.report_page import write_report  # noqa: PLC0415 - to load
+    from labrig.reporting.beside_page import write_beside  # noqa: PLC0415 - matplotlib takes a second
+    from labrig.reporting.report_page import write_report  # noqa: PLC0415 - to load
 
     place = None if out is None else Path(out)
-    if not isinstance(result, Result) and _calibration_store.is_record(Path(result)):
+    if not isinstance(result, Result) and _calibration_records.is_record(Path(result)):
         return report_calibration(result, out)
     found = result if isinstance(result, Result) else read_results(Path(result))
     if beside is None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import difflib
 import reprlib
-import sys
 import typing
 from pathlib import Path
 from typing import Any, TypeVar
@@ -25,13 +24,6 @@ from labrig.models.plan import Plan
 from labrig.models.rig import Rig
 from labrig.models.scene import Scene
 from labrig.models.series import Concentrations
-
-
-def config_folder() -> Path:
-    """Return the folder of the configurations that come with the program."""
-    beside = Path(__file__).resolve().parent.parent / "configs"
-    return beside if beside.is_dir() else Path(sys.prefix) / "share" / "labrig" / "configs"
-
 
 SCHEMAS: dict[str, type[Model]] = {
     "plan": Plan,

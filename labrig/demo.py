@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import labrig
-from labrig.config import config_folder
+from labrig.folders import config_folder
 
 if TYPE_CHECKING:
     from labrig.scene.picture import Truth
@@ -108,8 +108,8 @@ def _verify(
     result: labrig.Result, truth: Truth, gain_dn_per_e: float | None
 ) -> tuple[Path, dict[int, float]]:
     """Draw the bounces beside their truth; return the figure, and how far each is off."""
-    from labrig.drawing import save  # noqa: PLC0415 - matplotlib takes a second to load
-    from labrig.figures_orders import verification_figure  # noqa: PLC0415
+    from labrig.reporting.drawing import save  # noqa: PLC0415 - matplotlib takes a second to load
+    from labrig.reporting.figures_orders import verification_figure  # noqa: PLC0415
     from labrig.verification import verify_bounces  # noqa: PLC0415
 
     found = verify_bounces(result, truth, gain_dn_per_e=gain_dn_per_e or 1.0)

@@ -8,20 +8,22 @@ from pathlib import Path
 from typing import Literal
 
 from labrig.config import parse
-from labrig.corrections import gather, shone
-from labrig.joint_step import fit_joint
-from labrig.linearise import linearise
 from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
-from labrig.record import Outcome, run_of
-from labrig.record_fields import fields_of
-from labrig.rectify import rectify
-from labrig.remainder import remainder
 from labrig.results import Result, results_of, write_results, written
 from labrig.session import Session
-from labrig.slab_picture import as_layer
-from labrig.slab_step import fit_layer
-from labrig.steps import attenuate, explain, render_bounces, separate
+from labrig.steps.bounces import explain, render_bounces
+from labrig.steps.corrections import gather, shone
+from labrig.steps.decay import attenuate
+from labrig.steps.joint import fit_joint
+from labrig.steps.linearise import linearise
+from labrig.steps.record import Outcome, run_of
+from labrig.steps.record_fields import fields_of
+from labrig.steps.rectify import rectify
+from labrig.steps.remainder import remainder
+from labrig.steps.separation import separate
+from labrig.steps.slab import fit_layer
+from labrig.steps.slab_picture import as_layer
 
 Until = Literal["separation", "results"]
 

@@ -21,7 +21,6 @@ from drivers.trigger.protocol import Trigger, TriggerSettings
 from drivers.trigger.simulated import SimulatedTrigger
 from drivers.trigger.software import SoftwareTrigger
 from drivers.waiting import Clock, MonotonicClock
-from labrig.disk import Disk
 from labrig.errors import RunError
 from labrig.models.devices import RealTriggerConfig
 from labrig.models.latency import LatencyRecord
@@ -46,7 +45,8 @@ from labrig.replay import replay_camera
 from labrig.scene.filled import layered, refuse_plan, tank_of
 from labrig.scene.picture import Picture, Truth
 from labrig.scene.pipeline import lamp_of, see, sensor_of
-from labrig.simulated_disk import SimulatedDisk
+from labrig.session.disk import Disk
+from labrig.session.simulated_disk import SimulatedDisk
 
 TRIGGER_MODES: dict[str, TriggerMode] = {
     "software": "software",

@@ -16,10 +16,10 @@ from analysis.transport.ordinates import solve_on
 from analysis.transport.solve import TOLERANCES, Choice, Engine, choose, solve
 from labrig.errors import RunError
 from labrig.models.scene import Scene
-from labrig.record_fields import bounce_fields
 from labrig.results import write_fields
 from labrig.scene.filled import refuse_layer
 from labrig.solving_layer import layer_bounces
+from labrig.steps.record_fields import bounce_fields
 
 STEP = 10.0  # between the tolerances that an explanation compares
 MEMINFO = Path("/proc/meminfo")

@@ -21,14 +21,15 @@ from bias_of_a_plane import MEDIA, prepared, say
 import labrig
 from analysis.slab_fit import SlabFit
 from labrig.config import parse
-from labrig.corrections import gather, shone
-from labrig.linearise import linearise
 from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
-from labrig.rectify import rectify
 from labrig.session import Session
-from labrig.slab_step import fit_layer
-from labrig.steps import attenuate, separate
+from labrig.steps.corrections import gather, shone
+from labrig.steps.decay import attenuate
+from labrig.steps.linearise import linearise
+from labrig.steps.rectify import rectify
+from labrig.steps.separation import separate
+from labrig.steps.slab import fit_layer
 
 HEIGHTS_MM, INDICES, PERIODS_PX = (2.0, 5.0), (1.0, 1.33), (12, 6)
 MM_PER_PX = 0.15  # of the projector on the tank

@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 
 import labrig
-from labrig.drawing import png_bytes
-from labrig.figures_scene import Card, contact_sheet
+from labrig.reporting.drawing import png_bytes
+from labrig.reporting.figures_scene import Card, contact_sheet
 from labrig.scene.decide import Decision, situation_of
 from labrig.scene.explain import exposed, lit_images
 from labrig.simulating import simulate

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import labrig
-from labrig.accuracy_capture import NAMES, cost_of_capture
+from labrig.accuracy.capture import NAMES, cost_of_capture
 
 KEYS = ("sigma_t_per_mm", "sigma_s_per_mm", "g")
 

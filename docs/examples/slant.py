@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 import labrig
-from labrig import drawing
-from labrig.figures_orders import slant_figure
 from labrig.models.scene import BeamConfig
+from labrig.reporting import drawing
+from labrig.reporting.figures_orders import slant_figure
 
 ANGLES_DEG = (0.0, 30.0)
 BEAMS_MM = ((25.0, 50.0), (10.0, 35.0))  # aslant it starts higher, so that it stays inside

@@ -91,7 +91,7 @@ class World:
         """
         dark = self.light(None, self.projector_black)
         delays_s = np.arange(dark.shape[0]) * row_time_s if row_time_s else np.zeros(1)
-        total = np.zeros_like(dark)
+        total = np.zeros(dark.shape)
         begins_s = np.asarray(begin_s + delays_s, dtype=np.float64)
         first = bisect_right(self._shown, begin_s, key=lambda s: s.from_s) - 1
         for k in range(max(first - 1, 0), len(self._shown)):

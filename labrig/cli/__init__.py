@@ -10,8 +10,8 @@ import typer
 from analysis.errors import AnalysisError
 from calibration.errors import CalibrationError
 from drivers.errors import DriverError
-from labrig.cli.exits import EXIT_BAD_INPUT, EXIT_DAMAGED, EXIT_DEVICE, EXIT_INTERRUPTED
 from labrig.errors import LabrigError, RunError, SessionError
+from labrig.exits import EXIT_BAD_INPUT, EXIT_DAMAGED, EXIT_DEVICE, EXIT_INTERRUPTED
 
 
 def main() -> None:

@@ -11,14 +11,14 @@ import typer
 from rich.table import Table
 
 import labrig
+from labrig.accuracy.costs import Costs, Run, write_csv
+from labrig.accuracy.scene import cost_of_realism
 from labrig.cli.say import AsJson, bars, out_console, say, say_json
-from labrig.config import config_folder
-from labrig.costs import Costs, Run, write_csv
 from labrig.errors import RunError
-from labrig.realism import cost_of_realism
+from labrig.folders import config_folder
 
 if TYPE_CHECKING:
-    from labrig.accuracy_capture import CaptureCosts, Priced
+    from labrig.accuracy.capture import CaptureCosts, Priced
 
 app = typer.Typer(help="What accuracy is reached, and what it costs.", rich_markup_mode=None)
 WITHIN = 1.3  # times its noise that a witness may differ: the noise itself is known to 18 %
@@ -32,7 +32,7 @@ def solver(
     as_json: AsJson = False,
 ) -> None:
     """Measure error and CPU seconds of every method and resolution on a scene."""
-    from labrig.accuracy import cost_of_accuracy  # noqa: PLC0415 - and the solver with it
+    from labrig.accuracy.solver import cost_of_accuracy  # noqa: PLC0415 - and the solver with it
 
     wanted = labrig.load_scene(scene)
     _make(out)
@@ -40,8 +40,8 @@ def solver(
         costs = cost_of_accuracy(wanted, orders=orders, progress=follow)
     table, stem = out / "solver.csv", out / "solver"
     write_csv(costs, table)
-    from labrig.drawing import save  # noqa: PLC0415 - matplotlib takes a second to load
-    from labrig.figures import cost_figure  # noqa: PLC0415 - matplotlib takes a second to load
+    from labrig.reporting.drawing import save  # noqa: PLC0415 - matplotlib takes a second to load
+    from labrig.reporting.figures import cost_figure  # noqa: PLC0415 - matplotlib takes a second to load
 
     save(cost_figure(costs), stem)
     if as_json:
@@ -81,7 +81,7 @@ def capture(
     as_json: AsJson = False,
 ) -> None:
     """Predict the uncertainty of a plan's answer, and what a better one would cost."""
-    from labrig import accuracy_capture  # noqa: PLC0415 - and the solver with it
+    from labrig.accuracy import capture as accuracy_capture  # noqa: PLC0415 - and the solver with it
 
     wanted = dict(accuracy_capture.parse_wish(text) for text in want or [])
     with bars() as follow:
@@ -95,8 +95,8 @@ def capture(
     _make(out)
     table, stem = out / "capture.csv", out / "capture"
     accuracy_capture.write_csv(costs, table)
-    from labrig.drawing import save  # noqa: PLC0415 - matplotlib takes a second to load
-    from labrig.figures_inversion import capture_cost_figure  # noqa: PLC0415
+    from labrig.reporting.drawing import save  # noqa: PLC0415 - matplotlib takes a second to load
+    from labrig.reporting.figures_inversion import capture_cost_figure  # noqa: PLC0415
 
     save(capture_cost_figure(costs), stem)
     if as_json:
@@ -187,8 +187,8 @@ def scene_(
     with bars() as follow:
         realism = cost_of_realism(wanted, apparatus, shown, follow)
     stem = out / "scene"
-    from labrig.drawing import save  # noqa: PLC0415 - matplotlib takes a second to load
-    from labrig.figures_scene import realism_figure  # noqa: PLC0415
+    from labrig.reporting.drawing import save  # noqa: PLC0415 - matplotlib takes a second to load
+    from labrig.reporting.figures_scene import realism_figure  # noqa: PLC0415
 
     save(realism_figure(realism), stem)
     if as_json:

@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 import labrig
+from labrig.acquisition.latency import N_FLIPS, measure_latency
 from labrig.cli.say import AsJson, bars, one, say, say_json
 from labrig.config import latency_file, save
-from labrig.latency import N_FLIPS, measure_latency
 from labrig.models.plan import Exposures, Plan, PlanSet, UniformPattern
 
 _FLIPS = Plan(

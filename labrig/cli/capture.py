@@ -10,11 +10,11 @@ import typer
 from rich.table import Table
 
 import labrig
-from labrig.capturing import prepare, prepare_resume
-from labrig.catalogue import catalogue
-from labrig.cli.exits import EXIT_DAMAGED
+from labrig.acquisition.capturing import prepare, prepare_resume
 from labrig.cli.live import drive
 from labrig.cli.say import AsJson, bars, one, out_console, say, say_json, say_session
+from labrig.exits import EXIT_DAMAGED
+from labrig.session.catalogue import catalogue
 
 
 def capture(

@@ -10,13 +10,13 @@ import typer
 from rich.table import Table
 
 import labrig
-from labrig.cli.exits import EXIT_BAD_INPUT
+from labrig.acquisition.estimate import Seconds, estimate
+from labrig.acquisition.preflight import Verdict, check_all
+from labrig.acquisition.probe import Probed, probe, resolve
 from labrig.cli.say import AsJson, bars, one, out_console, say, say_json
 from labrig.config import latency_beside
-from labrig.estimate import Seconds, estimate
+from labrig.exits import EXIT_BAD_INPUT
 from labrig.plan import CapturePlan, expand
-from labrig.preflight import Verdict, check_all
-from labrig.probe import Probed, probe, resolve
 
 
 def check(

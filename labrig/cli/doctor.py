@@ -9,10 +9,9 @@ from typing import Annotated
 import typer
 
 import labrig
-from labrig import udev
-from labrig.cli.exits import EXIT_DEVICE
 from labrig.cli.say import AsJson, say, say_json
-from labrig.doctor import examine
+from labrig.doctor import examine, udev
+from labrig.exits import EXIT_DEVICE
 
 
 def doctor(

@@ -11,11 +11,11 @@ from pathlib import Path
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from labrig.capturing import AbortedError, finish
+from labrig.acquisition.capturing import AbortedError, finish
+from labrig.acquisition.run_state import Command, Event, State
+from labrig.acquisition.runner import Runner
 from labrig.cli.say import err_console
 from labrig.errors import RunError
-from labrig.run_state import Command, Event, State
-from labrig.runner import Runner
 
 POLL_S = 0.1
 

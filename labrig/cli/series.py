@@ -1,10 +1,11 @@
-"""The command that compares the sessions of a dilution series."""
+"""The command that compares sessions: of a dilution series, or of one liquid at several heights."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import typer
 from rich.table import Table
@@ -14,7 +15,7 @@ from labrig.cli.say import AsJson, out_console, say, say_json
 from labrig.errors import AnalysisRefusedError
 from labrig.fillings import Fillings, compare_fillings, write_fillings
 from labrig.results import read_results
-from labrig.series import Line, fit_series, write_csv
+from labrig.series import DilutionSeries, Line, fit_series, write_csv
 
 
 def series(
@@ -39,14 +40,15 @@ def series(
     if concentration is None:
         _say_fillings(compare_fillings(results, height_std_mm=height_std_mm), out, as_json)
         return
-    found = fit_series(results, labrig.load_series(concentration))
-    out.mkdir(parents=True, exist_ok=True)
-    table = out / "series.csv"
-    write_csv(found, table)
-    from labrig.drawing import save  # noqa: PLC0415 - matplotlib takes a second to load
-    from labrig.figures_inversion import series_figure  # noqa: PLC0415
+    _say_dilutions(fit_series(results, labrig.load_series(concentration)), out, as_json)
 
-    save(series_figure(found), out / "series")
+
+def _say_dilutions(found: DilutionSeries, out: Path, as_json: bool) -> None:
+    """Draw, write and print how the parameters follow the concentration."""
+    from labrig.reporting.figures_inversion import series_figure  # noqa: PLC0415 - takes a second
+
+    figure = series_figure(found)
+    files = _keep(out, "series", lambda table: write_csv(found, table), figure)
     if as_json:
         say_json(
             {
@@ -55,8 +57,7 @@ def series(
                 "unit": found.concentration_unit,
                 "lines": {line.name: _told(line) for line in found.lines},
                 "notes": list(found.notes),
-                "csv": str(table),
-                "figure": str(out / "series.png"),
+                **files,
             }
         )
         return
@@ -72,11 +73,7 @@ def series(
             f"{line.chi2:.3g}",
             f"{line.p_straight:.2g}",
         )
-    out_console.print(shown)
-    for note in found.notes:
-        say(f"note: {note}")
-    say(f"table   {table}")
-    say(f"figure  {out / 'series.png'}")
+    _say_all(shown, found.notes, files)
 
 
 def _told(line: Line) -> dict[str, object]:
@@ -102,13 +99,11 @@ def _told(line: Line) -> dict[str, object]:
 
 def _say_fillings(found: Fillings, out: Path, as_json: bool) -> None:
     """Draw, write and print what fillings to different heights say."""
-    out.mkdir(parents=True, exist_ok=True)
-    table = out / "heights.csv"
-    write_fillings(found, table)
-    from labrig.drawing import save  # noqa: PLC0415 - matplotlib takes a second to load
-    from labrig.figures_slab import fillings_figure  # noqa: PLC0415
+    from labrig.reporting.figures_slab import fillings_figure  # noqa: PLC0415 - takes a second
 
-    save(fillings_figure(found), out / "heights")
+    files = _keep(
+        out, "heights", lambda table: write_fillings(found, table), fillings_figure(found)
+    )
     if as_json:
         say_json(
             {
@@ -127,8 +122,7 @@ def _say_fillings(found: Fillings, out: Path, as_json: bool) -> None:
                     for one in found.found
                 },
                 "notes": list(found.notes),
-                "csv": str(table),
-                "figure": str(out / "heights.png"),
+                **files,
             }
         )
         return
@@ -148,8 +142,26 @@ def _say_fillings(found: Fillings, out: Path, as_json: bool) -> None:
             f"{one.p_same:.2g}",
             f"{one.plane_ratio:.2f}" if math.isfinite(one.plane_ratio) else "—",
         )
+    _say_all(shown, found.notes, files)
+
+
+def _keep(
+    out: Path, name: str, write: Callable[[Path], None], figure: Any
+) -> dict[Literal["csv", "figure"], str]:
+    """Write a table and its figure; return where they are."""
+    from labrig.reporting.drawing import save  # noqa: PLC0415 - matplotlib takes a second to load
+
+    out.mkdir(parents=True, exist_ok=True)
+    write(out / f"{name}.csv")
+    save(figure, out / name)
+    return {"csv": str(out / f"{name}.csv"), "figure": str(out / f"{name}.png")}
+
+
+def _say_all(
+    shown: Table, notes: tuple[str, ...], files: dict[Literal["csv", "figure"], str]
+) -> None:
     out_console.print(shown)
-    for note in found.notes:
+    for note in notes:
         say(f"note: {note}")
-    say(f"table   {table}")
-    say(f"figure  {out / 'heights.png'}")
+    say(f"table   {files['csv']}")
+    say(f"figure  {files['figure']}")

@@ -10,7 +10,7 @@ from rich.table import Table
 
 import labrig
 from labrig.cli.say import AsJson, bars, out_console, say, say_json
-from labrig.config import config_folder
+from labrig.folders import config_folder
 from labrig.simulating import Simulation, simulate, told_as_json, write_simulation
 
 

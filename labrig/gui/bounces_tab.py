@@ -15,7 +15,7 @@ from labrig.gui.plot import PlotPane
 from labrig.gui.result_tabs import ResultTab
 from labrig.gui.style import Style
 from labrig.gui.widgets import Tip, toggle
-from labrig.shown import Bounces, Price, Shown
+from labrig.station.shown import Bounces, Price, Shown
 
 FINER = 6  # pixels shown for each node, smooth between
 LEAST, MOST = -4.0, -1.0  # powers of ten of the tolerance

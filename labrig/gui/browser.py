@@ -9,7 +9,7 @@ from tkinter import ttk
 
 from labrig.gui.style import Style
 from labrig.gui.widgets import Card, Tip
-from labrig.shown import Listed
+from labrig.station.shown import Listed
 
 SYMBOLS = {
     "completed": "✓ captured",

@@ -9,11 +9,11 @@ from tkinter import ttk
 
 from PIL import Image, ImageTk
 
-from labrig.door import Applied, Connected
 from labrig.gui.images import histogram_bars
 from labrig.gui.style import Style
 from labrig.gui.widgets import Card, NumberField, Tip, by_steps, number
-from labrig.meters import Meter, Roi
+from labrig.station.door import Applied, Connected
+from labrig.station.meters import Meter, Roi
 
 
 class HistogramCard(Card):

@@ -5,7 +5,9 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Any
 
-from labrig.door import (
+from labrig.gui.metering import Metering
+from labrig.gui.snaps import keep
+from labrig.station.door import (
     Applied,
     Connected,
     Disconnected,
@@ -17,11 +19,9 @@ from labrig.door import (
     Show,
     Trouble,
     Working,
-    open_door,
 )
-from labrig.gui.metering import Metering
-from labrig.gui.snaps import keep
-from labrig.meters import Roi
+from labrig.station.meters import Roi
+from labrig.station.starting import open_door
 
 if TYPE_CHECKING:
     from labrig.gui.app import App

@@ -9,12 +9,12 @@ from tkinter import ttk
 
 import numpy as np
 
-from labrig.door import Planned, RunTold
 from labrig.gui.curves import Chart, Curve
 from labrig.gui.plot import PlotPane
 from labrig.gui.style import Style
 from labrig.gui.widgets import Tip
-from labrig.shown import Fitted
+from labrig.station.door import Planned, RunTold
+from labrig.station.shown import Fitted
 
 OLD_S = 1.0  # a live result older than this is said to be old
 COMMANDS = (

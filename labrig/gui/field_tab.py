@@ -17,7 +17,7 @@ from labrig.gui.palette import rgb
 from labrig.gui.pane import PicturePane
 from labrig.gui.result_tabs import ResultTab
 from labrig.gui.style import Style
-from labrig.shown import Bounces, Shown
+from labrig.station.shown import Bounces, Shown
 
 PITCH_PX = 46.0  # of glyphs on the screen at scale 1
 REACH = 0.46  # of the pitch

@@ -6,12 +6,15 @@ Spawned, not forked, for Tk and a fork do not go together. A helper ends when th
 from __future__ import annotations
 
 import multiprocessing as mp
+import os
 import queue
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any, Literal
+
+NICE = 5  # the window and the camera go first where processors are few
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,7 +30,7 @@ class Answer:
 
 
 class Helper:
-    """One process that does a job of `labrig.jobs` after the other.
+    """One process that does a job of `labrig.station.jobs` after the other.
 
     `ask` and `poll` belong to the window's thread; another one reads the answers.
     """
@@ -62,7 +65,7 @@ class Helper:
         progress: Callable[[str], None] = lambda _stage: None,
         **options: Any,
     ) -> None:
-        """Let the helper do a job of `labrig.jobs`; the answer comes out of `poll`.
+        """Let the helper do a job of `labrig.station.jobs`; the answer comes out of `poll`.
 
         A process that has ended is replaced by a new one.
         """
@@ -146,9 +149,10 @@ class Helper:
 
 def _serve(pipe: Connection) -> None:
     """Do jobs until the window is gone: the body of a helper process."""
-    from labrig import jobs  # noqa: PLC0415 - in the helper alone
     from labrig.errors import LabrigError  # noqa: PLC0415
+    from labrig.station import jobs  # noqa: PLC0415 - in the helper alone
 
+    os.nice(NICE)
     while True:
         try:
             number, name, arguments, options = pipe.recv()

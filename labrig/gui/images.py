@@ -91,28 +91,25 @@ def paint(
     ``white_level`` hatches what the raw counts say is clipped; pixels between two of the pane's
     are then not seen, but none is hatched that is not clipped.
     """
-    pane = np.empty((view.height, view.width, 3), np.uint8)
-    pane[:] = rgb(ground)
     part, down, across = seen(values, view)
     if part.size == 0:
-        return pane
-    pane[down, across] = coloured(levels(part, low, high, root=root), colours)
-    if white_level is not None:
-        mask = zebra_mask(values, view, white_level)
-        i, j = np.nonzero(mask)
-        if i.size:
-            stripe = ((i + j) // HATCH_PX) % 2
-            pane[i, j] = np.array(ZEBRA, np.uint8)[stripe]
-    return pane
+        return np.full((view.height, view.width, 3), rgb(ground), np.uint8)
+    shown = coloured(levels(part, low, high, root=root), colours)
+    border = (down.start, view.height - down.stop, across.start, view.width - across.stop)
+    pane = cv2.copyMakeBorder(shown, *border, cv2.BORDER_CONSTANT, value=rgb(ground))
+    if white_level is not None and values.max() >= white_level:
+        i, j = np.nonzero(zebra_mask(values, view, white_level))
+        stripe = ((i + j) // HATCH_PX) % 2
+        pane[i, j] = np.array(ZEBRA, np.uint8)[stripe]
+    return np.asarray(pane)
 
 
 def zebra_mask(values: NDArray[Any], view: Viewport, white_level: int) -> NDArray[np.bool_]:
     """Return where in the pane a clipped pixel of the picture is shown, (height, width)."""
-    clipped = values >= white_level
-    if not clipped.any():
-        return np.zeros((view.height, view.width), np.bool_)
     cols, rows = places(view)
-    shown = clipped.take(np.maximum(rows, 0), axis=0).take(np.maximum(cols, 0), axis=1)
+    shown = (
+        (values >= white_level).take(np.maximum(rows, 0), axis=0).take(np.maximum(cols, 0), axis=1)
+    )
     return np.asarray(shown & (rows >= 0)[:, None] & (cols >= 0)[None, :])
 
 

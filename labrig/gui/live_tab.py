@@ -9,13 +9,13 @@ from collections.abc import Callable
 from tkinter import ttk
 from typing import Any
 
-from labrig.door import Connected, Newest, Picture
 from labrig.gui.drawer import Drawer
 from labrig.gui.images import Map
 from labrig.gui.pane import PicturePane
 from labrig.gui.style import Style
 from labrig.gui.widgets import toggle, tool
-from labrig.meters import Roi
+from labrig.station.door import Connected, Newest, Picture
+from labrig.station.meters import Roi
 
 BAR_MM = (1, 2, 5, 10, 20, 50, 100, 200)
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from labrig.door import Connected, Picture, Show
 from labrig.gui.helper import Helper
-from labrig.meters import (
+from labrig.station.door import Connected, Picture, Show
+from labrig.station.meters import (
     GOOD,
     Meter,
     bracket_fits,
@@ -18,7 +18,7 @@ from labrig.meters import (
     profile_along,
     read,
 )
-from labrig.shown import Fitted
+from labrig.station.shown import Fitted
 
 if TYPE_CHECKING:
     from labrig.gui.app import App

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from labrig.gui.helper import Helper
-from labrig.shown import Bounces, Listed, Price, Shown
+from labrig.station.shown import Bounces, Listed, Price, Shown
 
 if TYPE_CHECKING:
     from labrig.gui.app import App

@@ -10,10 +10,10 @@ from tkinter import ttk
 import numpy as np
 from PIL import Image, ImageTk
 
-from labrig.door import Planned, Show
 from labrig.gui.images import stripes
 from labrig.gui.style import Style
 from labrig.gui.widgets import Card, NumberField, Tip, by_one, number
+from labrig.station.door import Planned, Show
 
 SHOWS: dict[str, Show] = {
     "white": "white",

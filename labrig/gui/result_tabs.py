@@ -15,7 +15,7 @@ from labrig.gui.plot import PlotPane
 from labrig.gui.style import Style
 from labrig.gui.table import Numbers
 from labrig.gui.widgets import Tip, toggle, tool
-from labrig.shown import Decay, Shown
+from labrig.station.shown import Decay, Shown
 
 NUMBERS_PX = 220
 

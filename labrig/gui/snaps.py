@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from labrig.door import Level, Picture
+from labrig.station.door import Level, Picture
 
 
 def keep(picture: Picture, folder: Path) -> tuple[Level, str]:

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 import tkinter as tk
 from dataclasses import replace
 from pathlib import Path
 
-from labrig.cli.exits import EXIT_BAD_INPUT
 from labrig.errors import ConfigError
+from labrig.exits import EXIT_BAD_INPUT
+from labrig.folders import config_folder
 from labrig.gui import settings as kept
-
-
-def config_folder() -> Path:
-    """Return the folder of the configurations that come with the program."""
-    beside = Path(__file__).resolve().parents[2] / "configs"
-    return beside if beside.is_dir() else Path(sys.prefix) / "share" / "labrig" / "configs"
 
 
 def start(

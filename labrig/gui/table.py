@@ -6,7 +6,7 @@ import tkinter as tk
 from tkinter import ttk
 
 from labrig.gui.style import Style
-from labrig.shown import Shown
+from labrig.station.shown import Shown
 
 
 class Numbers(ttk.Frame):

@@ -22,9 +22,9 @@ import numpy as np
 from analysis.errors import AnalysisError
 from analysis.phase_function import power_removed
 from analysis.transport.montecarlo import SampledField, Walls, simulate
+from labrig.folders import cache_folder
 from labrig.models.scene import Scene
 from labrig.scene.answer import Answer
-from labrig.scene.cache import cache_folder
 from labrig.scene.layer import sample_layer
 from labrig.scene.stripes import FIRST
 

@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 
 from drivers.simulation.sensor import Noise
-from labrig.capturing import prepare
-from labrig.catalogue import catalogue
+from labrig.acquisition.capturing import prepare
+from labrig.acquisition.run_state import Command, State
+from labrig.acquisition.sequence import Step
 from labrig.config import parse
 from labrig.errors import SessionLockedError
 from labrig.models.plan import Plan
 from labrig.models.rig import Rig
 from labrig.models.scene import Scene
 from labrig.rig import connect
-from labrig.run_state import Command, State
-from labrig.sequence import Step
-from labrig.session_items import Item
-from labrig.session_recovery import reopen
-from labrig.session_writer import SessionWriter
+from labrig.session.catalogue import catalogue
+from labrig.session.items import Item
+from labrig.session.recovery import reopen
+from labrig.session.writer import SessionWriter
 
 SCENE = {
     "schema": "labrig-scene/1",

@@ -10,12 +10,13 @@ import pytest
 
 import labrig
 from labrig.config import parse
-from labrig.corrections import gather
-from labrig.joint_step import fit_seen, observe, walls_of
-from labrig.linearise import linearise
 from labrig.models.setup import Setup
-from labrig.rectify import rectify
-from labrig.steps import attenuate, separate
+from labrig.steps.corrections import gather
+from labrig.steps.decay import attenuate
+from labrig.steps.joint import fit_seen, observe, walls_of
+from labrig.steps.linearise import linearise
+from labrig.steps.rectify import rectify
+from labrig.steps.separation import separate
 
 FOLDER = labrig.config_folder()
 PLAN = {

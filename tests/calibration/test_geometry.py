@@ -170,7 +170,8 @@ def test_only_what_opencv_4_and_5_share_is_called():
         *("aruco.getPredefinedDictionary", "calibrateCameraExtended", "error", "findHomography"),
         *("imencode", "projectPoints", "undistortPoints"),
         # the window's
-        *("COLORMAP_CIVIDIS", "CV_32F", "GaussianBlur", "INTER_AREA", "INTER_LINEAR", "LINE_AA"),
+        *("BORDER_CONSTANT", "COLORMAP_CIVIDIS", "CV_32F", "GaussianBlur", "INTER_AREA"),
+        *("INTER_LINEAR", "LINE_AA", "copyMakeBorder"),
         *("Laplacian", "addWeighted", "applyColorMap", "convertScaleAbs", "fillPoly"),
         *("minMaxLoc", "polylines", "resize", "subtract"),
     }

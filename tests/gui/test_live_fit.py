@@ -14,11 +14,11 @@ import tifffile
 from window import Window
 
 import labrig
-from labrig.decomposition import decompose
-from labrig.door import Picture, StripeSet
 from labrig.gui.drawer import OLD_S
-from labrig.live import CYCLE_S, Live, binned_for
 from labrig.results import value_of
+from labrig.station.decomposition import decompose
+from labrig.station.door import Picture, StripeSet
+from labrig.station.live import CYCLE_S, Live, binned_for
 
 TRUTH = {"sigma_t": 0.3, "sigma_s": 0.15, "g": 0.3}  # of the small scene
 

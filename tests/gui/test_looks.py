@@ -10,7 +10,7 @@ from PIL import Image
 from window import Open, Window, clipped, controls, overlapping, shown_of, tab_order
 
 from labrig.gui.palette import PALETTES, ZEBRA, rgb
-from labrig.shown import Price
+from labrig.station.shown import Price
 
 TABS = range(6)
 

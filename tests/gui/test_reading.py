@@ -15,7 +15,7 @@ from labrig.gui.images import HATCH_PX, coloured, levels, paint, places, table, 
 from labrig.gui.palette import DARK, LIGHT, PALETTES, ZEBRA, contrast, rgb
 from labrig.gui.rail import Day, current, judge
 from labrig.gui.viewport import Viewport
-from labrig.meters import TARGET, bracket_fits, bracket_from, fitting_exposure, focus, read
+from labrig.station.meters import TARGET, bracket_fits, bracket_from, fitting_exposure, focus, read
 
 # Machado, Oliveira and Fernandes 2009, severity 1, on linear red, green and blue
 BLIND = {

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from emulated.x_server import XServer
-from window import LONG_S, Display, Window, die_with_parent, strike
+from window import Display, Window, die_with_parent, strike
 
 import labrig
 from labrig.session import Session
@@ -163,7 +163,7 @@ def test_a_killed_window_loses_no_frame_and_leaves_the_projector_black(
         saved = killed_when_it_saved(
             tmp_path, LIT.format(display=bench.display), displays(1440, 900).name, files
         )
-        assert bench.await_black(LONG_S)
+        assert bench.await_black()
     finally:
         bench.stop()
     (path,) = (tmp_path / "sessions").glob("*/*")

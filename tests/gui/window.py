@@ -29,8 +29,8 @@ from labrig.gui import settings as kept
 from labrig.gui.app import App, Places
 
 if TYPE_CHECKING:
-    from labrig.shown import Shown
-    from labrig.station import Station
+    from labrig.station.shown import Shown
+    from labrig.station.station import Station
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIGS = ROOT / "configs"
@@ -79,7 +79,7 @@ class Display:
     def stop(self) -> None:
         """End the server."""
         self._process.terminate()
-        self._process.wait(timeout=10)
+        self._process.wait(timeout=60)
 
 
 Open = Callable[..., "Window"]
@@ -296,6 +296,6 @@ def strike(window: Window, kind: str, times: int = 1, shot: str | None = None) -
 
 def shown_of(root: Path, number: int = 0) -> Shown:
     """What the window shows of a session of a data root, the oldest first."""
-    from labrig.showing import show  # noqa: PLC0415 - the solvers load with it
+    from labrig.station.showing import show  # noqa: PLC0415 - the solvers load with it
 
     return show(sorted(root.glob("*/*"))[number])

@@ -13,8 +13,8 @@ from emulated.tank import describe
 from emulated.x_server import XServer
 
 import labrig
-from labrig.capturing import prepare
-from labrig.run_state import Command, State
+from labrig.acquisition.capturing import prepare
+from labrig.acquisition.run_state import Command, State
 from labrig.session import Session
 
 ROWS, COLS = 24, 640
@@ -120,7 +120,7 @@ def test_a_session_captured_in_closed_loop_is_analysed_to_the_true_parameters(be
     assert found["sigma_s_per_mm"] == pytest.approx(0.15, rel=0.005)
     assert found["g"] == pytest.approx(0.3, abs=0.012)
     assert not result.run.get("truth")
-    assert server.await_black(within_s=1.0)
+    assert server.await_black()
 
 
 def test_a_session_of_real_devices_is_resumed_by_the_rig_it_keeps(bench, tmp_path, command):
@@ -136,7 +136,7 @@ def test_a_session_of_real_devices_is_resumed_by_the_rig_it_keeps(bench, tmp_pat
     path = runner.path
     before = set(Session.open(path).frames)
     assert before == {*(f"stripes-e0-r0-p{k:02d}" for k in range(6)), "white-e0-r0"}
-    assert server.await_black(within_s=1.0)
+    assert server.await_black()
     # a rig file may say where the devices are now, but they must be the same ones
     other = tmp_path / "other.yaml"
     other.write_text(paths["rig"].read_text().replace("black_level_dn: 200", "black_level_dn: 0"))
@@ -152,7 +152,7 @@ def test_a_session_of_real_devices_is_resumed_by_the_rig_it_keeps(bench, tmp_pat
     segments = {shot: frame.details["segment"] for shot, frame in session.frames.items()}
     assert {segments[shot] for shot in before} == {1}
     assert {segments[shot] for shot in segments.keys() - before} == {2}
-    assert server.await_black(within_s=1.0)
+    assert server.await_black()
     # tank and beam are measured in the picture
     assert session.header["scene"] is None
     found = labrig.analyse(path).run

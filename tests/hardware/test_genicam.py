@@ -7,9 +7,9 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
+from deadlines import ends_within, far, in_s
 from emulated.gige_camera import GigeCamera
 from emulated.needs import need_typelib
-from host_time import own_s
 
 from drivers.camera.genicam import GenicamCamera, GenicamSettings
 from drivers.camera.protocol import CameraSettings
@@ -29,10 +29,6 @@ NEVER = CancelToken()
 ROI = (0, 0, 160, 120)
 
 
-def in_s(seconds):
-    return time.monotonic() + seconds
-
-
 @pytest.fixture(scope="module")
 def device():
     need_typelib("Aravis", "0.8", package="gir1.2-aravis-0.8 python3-gi")
@@ -50,8 +46,8 @@ def camera(device):
 
 
 def shot(camera):
-    camera.trigger(deadline_s=in_s(1.0), cancel=NEVER)
-    return camera.collect(deadline_s=in_s(3.0), cancel=NEVER)
+    camera.trigger(deadline_s=far(), cancel=NEVER)
+    return camera.collect(deadline_s=far(), cancel=NEVER)
 
 
 def test_the_picture_is_what_the_scene_computed(camera):
@@ -77,8 +73,8 @@ def test_a_triggered_frame_lies_between_its_trigger_and_its_arrival(camera):
     camera.arm("software")
     frames = []
     for _ in range(4):
-        receipt = camera.trigger(deadline_s=in_s(1.0), cancel=NEVER)
-        frame = camera.collect(deadline_s=in_s(3.0), cancel=NEVER)
+        receipt = camera.trigger(deadline_s=far(), cancel=NEVER)
+        frame = camera.collect(deadline_s=far(), cancel=NEVER)
         assert receipt.earliest_s <= frame.t_start_s <= frame.t_end_s <= frame.t_arrival_s
         frames.append(frame.sequence)
     assert np.diff(frames).tolist() == [1, 1, 1]
@@ -87,24 +83,26 @@ def test_a_triggered_frame_lies_between_its_trigger_and_its_arrival(camera):
 def test_without_a_trigger_no_frame_comes_and_deadline_and_cancel_are_kept(camera):
     camera.apply(CameraSettings(exposure_s=0.01, roi=ROI))
     camera.arm("software")
-    begin = time.monotonic()
-    with pytest.raises(NoFrameError, match="was it triggered"):
-        camera.collect(deadline_s=in_s(0.5), cancel=NEVER)
-    assert time.monotonic() - begin >= 0.5
-    assert own_s(begin) <= 0.6
-    cancel = CancelToken()
-    threading.Timer(0.1, cancel.cancel, ["enough"]).start()
-    begin = time.monotonic()
-    with pytest.raises(CancelledError):
-        camera.collect(deadline_s=in_s(5.0), cancel=cancel)
-    assert own_s(begin) <= 0.1 + 0.2
+
+    def keep_the_deadline():
+        with pytest.raises(NoFrameError, match="was it triggered"):
+            camera.collect(deadline_s=in_s(0.5), cancel=NEVER)
+
+    def hear_the_cancel():
+        cancel = CancelToken()
+        threading.Timer(0.1, cancel.cancel, ["enough"]).start()
+        with pytest.raises(CancelledError):
+            camera.collect(deadline_s=far(), cancel=cancel)
+
+    assert ends_within(0.6, keep_the_deadline, least_s=0.5)
+    assert ends_within(0.1 + 0.2, hear_the_cancel)
 
 
 def test_flush_empties_the_queue(camera):
     camera.apply(CameraSettings(exposure_s=0.005, roi=ROI))
     camera.arm("software")
     for _ in range(2):
-        camera.trigger(deadline_s=in_s(1.0), cancel=NEVER)
+        camera.trigger(deadline_s=far(), cancel=NEVER)
         time.sleep(0.15)
     flushed = camera.flush()
     assert flushed.discarded == 2
@@ -115,7 +113,7 @@ def test_flush_empties_the_queue(camera):
 def test_the_camera_runs_freely_and_settings_are_read_back(camera):
     camera.apply(CameraSettings(exposure_s=0.01, roi=ROI, pixel_format="Mono8", gain_db=2.0))
     camera.arm("free-run")
-    numbers = [camera.collect(deadline_s=in_s(3.0), cancel=NEVER).sequence for _ in range(4)]
+    numbers = [camera.collect(deadline_s=far(), cancel=NEVER).sequence for _ in range(4)]
     assert (np.diff(numbers) >= 1).all()
     found = camera.snapshot()
     assert found["roi"] == list(ROI)
@@ -135,11 +133,11 @@ def test_what_it_cannot_do_is_refused(camera, device):
         GenicamCamera(GenicamSettings(device="nobody")).open()
     camera.arm("free-run")
     with pytest.raises(TriggerNotFiredError, match="armed for free-run"):
-        camera.trigger(deadline_s=in_s(1.0), cancel=NEVER)
+        camera.trigger(deadline_s=far(), cancel=NEVER)
     camera.close()
     camera.close()
     with pytest.raises(NotOpenError):
-        camera.collect(deadline_s=in_s(1.0), cancel=NEVER)
+        camera.collect(deadline_s=far(), cancel=NEVER)
 
 
 def test_a_camera_that_goes_is_lost(camera, device):
@@ -147,17 +145,15 @@ def test_a_camera_that_goes_is_lost(camera, device):
     camera.arm("software")
     shot(camera)
     device.unplug()
-    begin = time.monotonic()
+    limit_s = in_s(60.0)
 
     def go_on():
-        while time.monotonic() < begin + 20.0:
+        while time.monotonic() < limit_s:
             with suppress(NoFrameError):
                 camera.collect(deadline_s=in_s(0.5), cancel=NEVER)
 
     with pytest.raises(DeviceLostError, match="has gone"):
-        go_on()
-    # measured 4 to 8 s: Aravis asks several times before it gives a camera up
-    assert own_s(begin) < 15.0
+        go_on()  # measured 4 to 8 s: Aravis asks several times before it gives a camera up
     with pytest.raises(DeviceLostError):
         camera.apply(CameraSettings(exposure_s=0.02, roi=ROI))
     camera.make_safe()

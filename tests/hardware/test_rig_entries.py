@@ -17,8 +17,9 @@ from drivers.trigger.protocol import TriggerSettings
 from drivers.trigger.serial import SerialTrigger
 from drivers.trigger.usb import UsbTrigger
 from drivers.waiting import CancelToken
-from labrig import real_devices, udev
-from labrig.doctor_devices import of_rig
+from labrig import real_devices
+from labrig.doctor import udev
+from labrig.doctor.devices import of_rig
 from labrig.errors import ConfigError, RunError
 from labrig.models.devices import PluginTriggerConfig, UsbTriggerConfig, V4l2CameraConfig
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from labrig import session_format
 from labrig.session import SessionWriter, verify
+from labrig.session import format as session_format
 
 SHAPE = (24, 32)
 SHOTS = [f"stripes-e0-r0-p{shift:02d}" for shift in range(6)]

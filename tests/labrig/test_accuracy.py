@@ -9,9 +9,10 @@ import pytest
 
 import labrig
 from analysis.transport.ordinates import solve_on
-from labrig import accuracy, truth
-from labrig.costs import Costs, Run, with_front
-from labrig.figures import cost_figure
+from labrig.accuracy import solver as accuracy
+from labrig.accuracy import truth
+from labrig.accuracy.costs import Costs, Run, with_front
+from labrig.reporting.figures import cost_figure
 
 
 @pytest.fixture

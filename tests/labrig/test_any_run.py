@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from drivers.simulation.faults import Fault, FaultKind
-from labrig.run_state import ENDS, NEXT, Command, Event, State
+from labrig.acquisition.run_state import ENDS, NEXT, Command, Event, State
 from labrig.session import Session, verify
-from labrig.session_lock import holder
+from labrig.session.lock import holder
 
 KINDS = sorted(set(FaultKind.__args__) - {"kill"})
 STANDING = (State.IDLE, State.PAUSED)  # where a run waits for a command, and tells of nothing
-WAITS_S = 20.0  # of real time, after which a run counts as stuck
+WAITS_S = 60.0  # of real time, after which a run counts as stuck
 
 
 class AnyRun(RuleBasedStateMachine):

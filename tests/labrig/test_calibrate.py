@@ -17,7 +17,7 @@ from PIL import Image
 import labrig
 from calibration.errors import CalibrationError
 from calibration.geometry import Board
-from labrig.calibration_store import read_record
+from labrig.calibration_records import read_record
 from labrig.cli import run
 from labrig.errors import AnalysisRefusedError, ConfigError
 

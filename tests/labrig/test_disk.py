@@ -15,13 +15,13 @@ import toy
 
 from drivers.errors import FrameCorruptError, NoFrameError
 from drivers.waiting import CancelToken
-from labrig.catalogue import FILE, catalogue
-from labrig.disk import Disk
-from labrig.keeper import Keeper
-from labrig.run_state import Command, State
+from labrig.acquisition.run_state import Command, State
 from labrig.session import Session, verify
-from labrig.session_items import Item
-from labrig.session_writer import SessionWriter
+from labrig.session.catalogue import FILE, catalogue
+from labrig.session.disk import Disk
+from labrig.session.items import Item
+from labrig.session.keeper import Keeper
+from labrig.session.writer import SessionWriter
 
 CALLS = ("open", "write", "fsync", "fdatasync", "replace")
 SHORT = -1  # in place of an errno: the call writes half

@@ -9,9 +9,10 @@ import pytest
 
 import labrig
 from drivers.errors import DeviceNotFoundError
-from labrig import doctor_devices, udev
-from labrig.doctor_devices import of_rig, plugged_in
-from labrig.doctor_disk import disk, file_system
+from labrig.doctor import devices as doctor_devices
+from labrig.doctor import udev
+from labrig.doctor.devices import of_rig, plugged_in
+from labrig.doctor.storage import disk, file_system
 from labrig.models.devices import SerialTriggerConfig, UsbTriggerConfig, V4l2CameraConfig
 from labrig.models.rig import Rig
 
@@ -117,9 +118,9 @@ def test_disk_is_tried_out_and_its_kind_named(tmp_path, monkeypatch) -> None:
     assert "fsync of 64 kB takes" in found.text
     assert file_system(tmp_path) in found.text
     assert list(tmp_path.iterdir()) == []
-    monkeypatch.setattr("labrig.doctor_disk.file_system", lambda _: "tmpfs")
+    monkeypatch.setattr("labrig.doctor.storage.file_system", lambda _: "tmpfs")
     assert "gone with the power" in disk(tmp_path).text
-    monkeypatch.setattr("labrig.doctor_disk.file_system", lambda _: "nfs4")
+    monkeypatch.setattr("labrig.doctor.storage.file_system", lambda _: "nfs4")
     assert "over a network" in disk(tmp_path).text
 
     def full(_: int) -> None:

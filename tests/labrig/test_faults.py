@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import toy
 
-from labrig.run_state import Command, State
+from labrig.acquisition.run_state import Command, State
 from labrig.session import Session, verify
 
 SHOT = "stripes-e1-r0-p02"

@@ -12,7 +12,7 @@ import pytest
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
-from labrig import drawing, figure_set, figures, views
+from labrig.reporting import drawing, figure_set, figures, views
 from labrig.results import Field, Result, read_results, write_results
 
 SIGMA_T, SIGMA_S, ANGLE = 0.2, 0.1, 0.0

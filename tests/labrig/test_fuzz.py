@@ -19,7 +19,7 @@ import labrig
 from labrig.config import SCHEMAS, load
 from labrig.errors import LabrigError, SessionError
 from labrig.session import Session, verify
-from labrig.session_recovery import reopen
+from labrig.session.recovery import reopen
 
 # of each kind: plans, rigs, manifests, journals; `make torture` tries 2500
 N = int(os.environ.get("LABRIG_FUZZ", "120"))

@@ -16,13 +16,13 @@ import labrig
 from calibration.geometry import Board
 from calibration.projector import ProjectorGamma
 from labrig.config import parse
-from labrig.corrections import Corrections, Projected, gather, shone
 from labrig.errors import AnalysisRefusedError
-from labrig.linearise import linearise
 from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
-from labrig.rectify import rectify
 from labrig.session import Session
+from labrig.steps.corrections import Corrections, Projected, gather, shone
+from labrig.steps.linearise import linearise
+from labrig.steps.rectify import rectify
 
 ManifestWriter = Callable[..., Path]
 

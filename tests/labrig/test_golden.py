@@ -12,7 +12,7 @@ from samples import journal_lines
 
 from labrig.errors import SessionError
 from labrig.session import Session, verify
-from labrig.session_recovery import reopen
+from labrig.session.recovery import reopen
 
 GOLDEN = Path(__file__).parent / "golden"
 SHOTS = [f"stripes-e0-r0-p{shift:02d}" for shift in range(3)]

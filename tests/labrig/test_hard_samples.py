@@ -10,7 +10,7 @@ import yaml
 
 import labrig
 from labrig.session import Session, SessionWriter
-from labrig.session_writer import HEADER_KEYS
+from labrig.session.writer import HEADER_KEYS
 
 Captured = Callable[..., Path]
 

@@ -245,7 +245,7 @@ def test_damaged_tiff_says_nothing_but_the_one_line(
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=300,
     )
     assert said.returncode == 2
     assert said.stderr.startswith("labrig: ")

@@ -11,9 +11,9 @@ import toy
 
 import labrig
 from calibration.errors import CalibrationError
+from labrig.acquisition.latency import measure_latency
+from labrig.acquisition.run_state import State
 from labrig.errors import RunError
-from labrig.latency import measure_latency
-from labrig.run_state import State
 
 PERIOD_S = 1 / 60
 

@@ -6,18 +6,19 @@ import numpy as np
 import pytest
 
 import labrig
-from labrig import report_page
 from labrig.config import parse
-from labrig.corrections import gather, shone
-from labrig.figures_slab import layer_figure
-from labrig.joint_step import fit_joint
-from labrig.linearise import linearise
 from labrig.models.analysis import Analysis
 from labrig.models.setup import Setup
-from labrig.rectify import rectify
+from labrig.reporting import report_page
+from labrig.reporting.figures_slab import layer_figure
 from labrig.session import Session
-from labrig.slab_step import fit_layer
-from labrig.steps import attenuate, separate
+from labrig.steps.corrections import gather, shone
+from labrig.steps.decay import attenuate
+from labrig.steps.joint import fit_joint
+from labrig.steps.linearise import linearise
+from labrig.steps.rectify import rectify
+from labrig.steps.separation import separate
+from labrig.steps.slab import fit_layer
 
 SCENE = """\
 schema: labrig-scene/1

@@ -21,12 +21,11 @@ import numpy as np
 import pytest
 import toy
 
-from labrig import keeper
-from labrig.catalogue import catalogue
-from labrig.run_state import State
-from labrig.session import Session, verify
-from labrig.session_items import Item
-from labrig.session_writer import SessionWriter
+from labrig.acquisition.run_state import State
+from labrig.session import Session, keeper, verify
+from labrig.session.catalogue import catalogue
+from labrig.session.items import Item
+from labrig.session.writer import SessionWriter
 
 # `make torture` cuts at every flush and twice between
 CUTS = int(os.environ.get("LABRIG_CUTS", "20"))
@@ -82,7 +81,7 @@ def logged_disk(tmp_path: Path) -> Iterator[tuple[Path, Path, Path]]:
     server.mkdir()
     code = [sys.executable, block_log.__file__, str(image), str(log), str(server)]
     with subprocess.Popen(code) as process:
-        until = time.monotonic() + 20.0
+        until = time.monotonic() + 60.0
         while not (server / "disk").exists():
             assert process.poll() is None
             assert time.monotonic() < until

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labrig.beside_page import write_beside
 from labrig.errors import RunError
-from labrig.report_page import CAPTIONS, render, write_report
+from labrig.reporting.beside_page import write_beside
+from labrig.reporting.report_page import CAPTIONS, render, write_report
 from labrig.results import Field, Result, read_results, write_results
 
 RUN: dict[str, Any] = {
@@ -159,7 +159,7 @@ def test_page_stands_alone_with_its_figures_beside_it(tmp_path: Path) -> None:
 
 
 def test_every_figure_has_a_caption() -> None:
-    from labrig.figure_set import FIGURES  # noqa: PLC0415 - matplotlib is slow to load
+    from labrig.reporting.figure_set import FIGURES  # noqa: PLC0415 - matplotlib is slow to load
 
     assert set(CAPTIONS) == set(FIGURES)
 

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 import labrig
 from labrig.models.analysis import Analysis
-from labrig.record import code_digest
 from labrig.session import Session
-from labrig.session_format import sha256_of
+from labrig.session.format import sha256_of
+from labrig.steps.record import code_digest
 
 Counts = NDArray[np.uint16]
 Complaint = Callable[..., str]
@@ -252,7 +252,7 @@ def test_headless_script_runs(
         capture_output=True,
         text=True,
         check=False,
-        timeout=120,
+        timeout=300,
         cwd=tmp_path,
         env={key: value for key, value in os.environ.items() if key != "DISPLAY"},
     )

@@ -14,9 +14,9 @@ import tifffile
 from PIL import Image
 from samples import DETAILS, HEADER, SHOTS, blamed, journal_lines, picture
 
-from labrig import session_format
 from labrig.errors import SessionError
 from labrig.session import SCHEMA, Session, SessionWriter, verify
+from labrig.session import format as session_format
 
 
 def test_what_is_written_comes_back(sealed: Path) -> None:

@@ -12,9 +12,9 @@ import pytest
 import tifffile
 from samples import SHOTS, blamed, flip, forge, journal_lines, picture
 
-from labrig import session_format
 from labrig.errors import SessionError
 from labrig.session import SCHEMA, Session, verify
+from labrig.session import format as session_format
 
 DAMAGED = f"frames/{SHOTS[2]}.tif"
 

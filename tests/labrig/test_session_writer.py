@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from samples import HEADER, SHAPE, SHOTS, picture
 
-from labrig import session_lock
 from labrig.errors import SessionError, SessionLockedError
 from labrig.session import Session, SessionWriter, verify
+from labrig.session import lock as session_lock
 
 REPO = Path(__file__).parents[2]
 

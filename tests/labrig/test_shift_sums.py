@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from labrig.shift_sums import Sums, add_up
-from labrig.thinned import Thinned
+from labrig.acquisition.shift_sums import Sums, add_up
+from labrig.acquisition.thinned import Thinned
 
 WIDTH, ROWS, GAIN, READ_DN = 1200, 16, 0.28, 3.0
 

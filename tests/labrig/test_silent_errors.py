@@ -15,7 +15,7 @@ import toy
 
 import labrig
 from drivers.camera.protocol import Frame
-from labrig.run_state import Event, State
+from labrig.acquisition.run_state import Event, State
 from labrig.session import Session, verify
 
 FIRST, LATER = "stripes-e0-r0", "stripes-e1-r0"  # groups at the first exposure and at the second

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import labrig
+from labrig.accuracy.scene import cost_of_realism
 from labrig.config import parse
 from labrig.errors import ConfigError, PlanError
-from labrig.realism import cost_of_realism
 from labrig.scene import transport
 from labrig.scene.decide import decide, situation_of
 from labrig.scene.explain import begins_of, change, exposed, lit_images

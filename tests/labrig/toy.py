@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from labrig.capturing import prepare, prepare_resume
+from labrig.acquisition.capturing import prepare, prepare_resume
+from labrig.acquisition.run_state import TAKES, Command, Event, State
+from labrig.acquisition.runner import Finish, Runner
 from labrig.config import parse
 from labrig.models.plan import Plan
 from labrig.models.rig import Rig
 from labrig.models.scene import Scene
 from labrig.rig import OpenRig, connect
-from labrig.run_state import TAKES, Command, Event, State
-from labrig.runner import Finish, Runner
 from labrig.session import Session
 
 SIZE = 64

@@ -86,7 +86,7 @@ class Box:
             return []
         with self._process.stdout as out:
             lines = [line.split() for line in out]
-        self._process.wait(timeout=5)
+        self._process.wait(timeout=60)
         if self._process.stdin is not None and not self._process.stdin.closed:
             self._process.stdin.close()
         return [

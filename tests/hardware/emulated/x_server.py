@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from deadlines import far
 from numpy.typing import NDArray
 
 from emulated.needs import need
@@ -77,9 +78,9 @@ class XServer:
         """Return whether an output shows its bright desktop, but for the pointer's 16 x 16 px."""
         return int((self.grab(output) != DESKTOP).any(axis=2).sum()) <= 256
 
-    def await_black(self, within_s: float) -> bool:
-        """Return whether PROJ goes black within a time."""
-        end = time.monotonic() + within_s
+    def await_black(self) -> bool:
+        """Return whether PROJ goes black by itself."""
+        end = far()
         while time.monotonic() < end:
             if not self.grab().any():
                 return True
@@ -89,7 +90,7 @@ class XServer:
     def stop(self) -> None:
         """End the server."""
         self._process.terminate()
-        self._process.wait(timeout=10)
+        self._process.wait(timeout=60)
         self._frame.close()
 
     def _xrandr(self, name: str, width: int, height: int, x: int, output: str) -> None:

@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 import pytest
+from deadlines import far, in_s
 from emulated.u3v_camera import U3vCamera
 from emulated.usb_umockdev import UsbBus
 
@@ -42,10 +43,6 @@ def camera(plugged):
     gc.collect()
 
 
-def in_s(seconds):
-    return time.monotonic() + seconds
-
-
 def collect(camera, seconds=3.0):
     return camera.collect(deadline_s=in_s(seconds), cancel=NEVER)
 
@@ -55,7 +52,7 @@ def test_triggered_pictures_are_exact_in_every_format(camera):
         for exposure_s in (0.005, 0.01):
             camera.apply(CameraSettings(exposure_s=exposure_s, pixel_format=name))
             camera.arm("software")
-            camera.trigger(deadline_s=in_s(1.0), cancel=NEVER)
+            camera.trigger(deadline_s=far(), cancel=NEVER)
             frame = collect(camera)
             wanted = np.rint(np.clip(light(240, 320) * exposure_s, 0.0, 1.0) * full)
             np.testing.assert_array_equal(frame.pixels, wanted)
@@ -85,12 +82,12 @@ def test_a_frame_cut_short_is_never_a_picture(camera, plugged):
     camera.apply(CameraSettings(exposure_s=0.01, roi=(0, 0, 160, 120)))
     camera.arm("software")
     plugged[0].truncate_next = True
-    camera.trigger(deadline_s=in_s(1.0), cancel=NEVER)
+    camera.trigger(deadline_s=far(), cancel=NEVER)
     with pytest.raises((FrameCorruptError, NoFrameError)):
         collect(camera)
     camera.disarm()
     camera.arm("software")
-    camera.trigger(deadline_s=in_s(1.0), cancel=NEVER)
+    camera.trigger(deadline_s=far(), cancel=NEVER)
     assert collect(camera).pixels.max() > 0
 
 

@@ -29,7 +29,7 @@ PROGRAMS = (
 )
 PACKAGES = "qemu-system-x86 busybox-static cpio kmod udev v4l-utils usbutils"
 EARLY_MODULES = ("virtio_pci", "9pnet_virtio", "9p", "overlay")
-LIMIT_S = 600
+LIMIT_S = 1500
 APPEND = "console=ttyS0 quiet loglevel=4 panic=-1 tsc=unstable nokaslr mitigations=off"
 
 

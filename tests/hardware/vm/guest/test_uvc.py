@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from deadlines import far
 from emulated.usb_vhci import VirtualPort
 from emulated.uvc_camera import UvcCamera
 
@@ -36,7 +37,7 @@ def plug():
     """Return the camera and its port, once the kernel has made a video node of it."""
     device = UvcCamera(light, width=SHAPE[1], height=SHAPE[0], delay=DELAY)
     port = VirtualPort(device)
-    end = time.monotonic() + 30.0
+    end = time.monotonic() + 90.0
     while not any("by-id" in path for path in found()) and time.monotonic() < end:
         time.sleep(0.2)
     assert found(), "uvcvideo did not take the camera"
@@ -58,12 +59,8 @@ def camera(plugged):
     opened.close()
 
 
-def in_s(seconds):
-    return time.monotonic() + seconds
-
-
 def brightest(camera):
-    return int(camera.collect(deadline_s=in_s(10.0), cancel=NEVER).pixels.max())
+    return int(camera.collect(deadline_s=far(), cancel=NEVER).pixels.max())
 
 
 def test_the_camera_is_found_by_its_id_and_made_manual(camera):
@@ -82,7 +79,7 @@ def test_the_picture_is_exact_in_both_formats(camera):
         camera.apply(CameraSettings(exposure_s=0.01, pixel_format=name))
         camera.arm("free-run")
         for _ in range(DELAY + 4):
-            frame = camera.collect(deadline_s=in_s(10.0), cancel=NEVER)
+            frame = camera.collect(deadline_s=far(), cancel=NEVER)
         np.testing.assert_array_equal(frame.pixels, np.rint(light() * 0.01 * scale))
         camera.disarm()
 
@@ -100,7 +97,7 @@ def test_compressed_pictures_are_refused_unless_allowed_and_are_then_marked(came
     allowed.apply(CameraSettings(exposure_s=0.01))
     allowed.arm("free-run")
     for _ in range(DELAY + 4):
-        frame = allowed.collect(deadline_s=in_s(10.0), cancel=NEVER)
+        frame = allowed.collect(deadline_s=far(), cancel=NEVER)
     allowed.close()
     # stripes of four pixels through JPEG at quality 95
     assert np.abs(frame.pixels - light() * 0.01).max() < 12
@@ -136,7 +133,7 @@ def test_unplugging_is_typed_and_replugging_mends_it(plugged):
     threading.Timer(0.3, plugged.unplug).start()
 
     def go_on():
-        limit = time.monotonic() + 20.0
+        limit = time.monotonic() + 90.0
         while time.monotonic() < limit:
             brightest(camera)
 
@@ -144,7 +141,7 @@ def test_unplugging_is_typed_and_replugging_mends_it(plugged):
         go_on()
     camera.make_safe()
     camera.close()
-    end = time.monotonic() + 20.0
+    end = time.monotonic() + 90.0
     while found() and time.monotonic() < end:
         time.sleep(0.2)
     with pytest.raises(DeviceNotFoundError):

@@ -1,0 +1,1 @@
+"""What accuracy costs in time: of the solver, of the capture, of the simulated scene."""

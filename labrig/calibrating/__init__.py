@@ -1,0 +1,1 @@
+"""Calibration records: made of sessions, kept beside them, shown on a page."""

@@ -1,0 +1,1 @@
+"""What figures and pages show of results, and how they are drawn."""

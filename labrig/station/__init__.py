@@ -1,0 +1,1 @@
+"""What stands behind the operator's window: the devices' thread, jobs, results as shown."""
