@@ -171,7 +171,10 @@ class SlabTable:
 def _polynomials(value: float, span: Range, n: int) -> Array:
     """Return Chebyshev polynomials 0 .. n - 1 of a value within a range."""
     u = (2.0 * value - span[0] - span[1]) / (span[1] - span[0])
-    return np.asarray(np.polynomial.chebyshev.chebvander(np.array([u]), n - 1)[0])
+    found = [1.0, u]
+    while len(found) < n:
+        found.append(2.0 * u * found[-1] - found[-2])
+    return np.array(found)
 
 
 def camera_orders(

@@ -11,7 +11,8 @@ import tempfile
 from pathlib import Path
 
 import labrig
-from labrig.config import config_folder, parse
+from labrig.config import parse
+from labrig.folders import config_folder
 
 MEDIA = {  # sigma_t in 1/mm, albedo, g; width of the tank in mm, lit part, millions of paths
     "A": (0.2051, 0.5, 0.4, 75, (28.5, 46.5), 2),
