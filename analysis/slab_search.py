@@ -34,7 +34,8 @@ TABLES: tuple[Choice, ...] = (  # range of g, of sigma_t over the decay, finenes
 FINE, FINER = 1.1, 0.5  # of the last solutions: at g = 0, and how much more where g is one
 MEDIUM, MORE = 0.65, 0.4  # fineness at which derivatives are taken: likewise
 COARSE_TAIL = 1e-3
-APPROACHES, CORRECTIONS = 5, 6
+APPROACHES, CORRECTIONS = 5, 8
+UPHILL = 1.001  # of the least sum of squares: a correction that ends above it went too far
 STEPS = (0.01, 0.01)  # of the derivatives: relative in sigma_t, and in g
 ROOM = (0.1, 0.05)  # within which the moved orders are believed: likewise
 NEAR = 1.0  # standard deviations or percents, within which derivatives need not be taken again
@@ -82,13 +83,17 @@ def search(profiles: SlabProfiles, slab: Slab, contrasts: Contrasts | None) -> F
         if abs(at[2] - grids.g) > 0.5 * ROOM[1]:
             grids = _Grids.of(table, at, MEDIUM + MORE * at[2] ** 8)
     fine = _Grids.of(table, at, FINE + FINER * at[2] ** 8)
-    settled = False
+    settled, best, least = False, at, np.inf
     for _ in range(CORRECTIONS):
         local = local.moved_to(table, at, fine)
         n_solved += n_q
         if contrasts is not None:
             problem = problem.with_ratio(*contrasts(at[0], at[0] * at[1], at[2]))
-        before = at
+        cost = _cost(problem, local.orders, at)
+        if cost > UPHILL * least:
+            at = 0.5 * (at + best)  # the step went further than its derivatives hold
+            continue
+        before, best, least = at, at, min(cost, least)
         at, sure = minimise(problem, local.orders, local.bounds(), at)
         settled = _stands(problem, local.orders, at, before, SETTLED)
         if settled:
@@ -96,12 +101,16 @@ def search(profiles: SlabProfiles, slab: Slab, contrasts: Contrasts | None) -> F
         if not _stands(problem, local.orders, at, before, NEAR):
             local = _Local.of(table, at, grids)
             n_solved += 3 * n_q
+    shift = at - before
+    if not settled:
+        at, local = best, local.moved_to(table, best, fine)
+        n_solved += n_q
     return Found(
         at=at,
         orders=local.orders,
         problem=problem,
         table=table,
-        shift=at - before,
+        shift=shift,
         sure=sure and settled,
         n_solved=n_solved,
     )
@@ -139,9 +148,20 @@ def _first(profiles: SlabProfiles, slab: Slab) -> tuple[Array, Problem, SlabTabl
     return at, problem, table, n_solved
 
 
+def _cost(problem: Problem, orders: Orders, at: Array) -> float:
+    """Return the sum of squares that orders leave at a place."""
+    sigma_t, albedo, g = (float(v) for v in at)
+    scales, model = problem.scaled(problem.profiles(orders(sigma_t, g), sigma_t, albedo))
+    return float((problem.pulls(model, scales) ** 2).sum())
+
+
 def _stands(problem: Problem, orders: Orders, at: Array, before: Array, share: float) -> bool:
-    """Return whether two places are the same but for a share of what is known of them."""
-    std = np.linalg.norm(gain(problem, orders, at)[:3], axis=1)
+    """Return whether two places are the same but for a share of what is known of them.
+
+    Where the model misses the light by more than its errors, less is known by as much.
+    """
+    misfit = max(_cost(problem, orders, at) / problem.degrees_of_freedom, 1.0)
+    std = np.linalg.norm(gain(problem, orders, at)[:3], axis=1) * np.sqrt(misfit)
     return bool(np.all(np.abs(at - before) < share * np.maximum(std, 0.005 * np.abs(at))))
 
 

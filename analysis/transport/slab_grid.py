@@ -131,6 +131,11 @@ def bearings_of(grid: SlabGrid, n_bearings: int) -> Array:
     for n in np.unique(place):
         found[n] = by_phi @ np.where(place == n, area, 0.0) @ by_theta.T
     whole = 2.0 * np.pi * np.outer(grid.phi_weight, grid.weight)  # both halves of y together
+    # A direction whose neighbours are nearer than the sorting is fine has one bearing alone.
+    _, mu_y, _ = grid.cosines
+    own = np.arctan2(mu_y, np.cos(grid.theta_rad)) / (2.0 * np.pi) * n_bearings
+    alone = found.sum(axis=0) == 0.0
+    found[np.floor(own[alone]).astype(np.int64), alone] = 1.0
     found *= 0.5 * whole / found.sum(axis=0)
     return found * n_bearings / (2.0 * np.pi)
 

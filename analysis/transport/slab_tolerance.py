@@ -14,7 +14,7 @@ from analysis.transport.slab_resolution import depths, directions
 
 AT_ONE = 3e-3  # error of a bounce that fineness one leaves, about
 RATE = 2.0  # with what power of the fineness it falls
-COARSEST, FINEST = 0.85, 4.0
+COARSEST, FINEST = 0.85, 5.0
 FINER = 1.4  # steps of fineness
 DEEPEST = 6.0  # optical depth down to which bounces are compared
 N_COMPARED = 200
@@ -27,7 +27,9 @@ class SettledSlab:
     Attributes
     ----------
     error : (K,), relative rms over depth of each bounce that the camera sees: what the last step
-        of refinement changed, which is more than what the next would
+        of refinement changed, which is more than what the next would; or a third of what two
+        steps did, if that is more, for where a surface begins to reflect all, errors do not fall
+        evenly and one step alone may change little
     fineness : of `slab_resolution.directions`
     reached : whether every bounce is within the tolerance
     """
@@ -49,7 +51,7 @@ def solve_to(
     """Return bounces 1 .. n_bounces for an albedo of one, each to a relative rms error.
 
     The resolution follows from g and the tolerance, and is raised until the error that is found is
-    below it, up to a fineness of four; ``reached`` tells whether that was enough.
+    below it, up to a fineness of five; ``reached`` tells whether that was enough.
 
     Raises
     ------
@@ -70,7 +72,8 @@ def solve_to(
     coarse = at(fineness / FINER)
     while True:
         fine = at(fineness)
-        error = _changed(coarse, fine)
+        half = _changed(at(0.5 * fineness), fine) / (2.0**RATE - 1.0)
+        error = np.maximum(_changed(coarse, fine), half)
         reached = bool(error.max() <= tolerance)
         if reached or fineness * FINER > FINEST:
             return SettledSlab(field=fine, error=error, fineness=fineness, reached=reached)

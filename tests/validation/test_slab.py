@@ -14,6 +14,7 @@ from analysis.slab_field import slab_bounces
 from analysis.transport.fresnel import reflectance
 from analysis.transport.montecarlo_slab import SlabSample, simulate_slab
 from analysis.transport.slab import SlabField, solve_slab
+from analysis.transport.slab_grid import bearings_of
 from analysis.transport.slab_resolution import depths, directions
 from analysis.transport.slab_second import second_order
 from analysis.transport.slab_tolerance import solve_to
@@ -226,6 +227,14 @@ def test_light_by_bearing_adds_up_to_the_fluence_and_looks_ahead():
     # light forgets its direction bounce by bounce: measured 0.74, 0.55, 0.41
     assert (np.diff(mean) < -0.05).all()
     assert mean[0] > 0.5
+
+
+def test_no_direction_is_without_a_bearing_on_the_finest_grid():
+    x = depths(0.35, SLAB, fineness=1.0)
+    grid = directions(0.9, SLAB, x, wavenumber_per_mm=0.0, fineness=5.0)
+    shares = bearings_of(grid, 64)
+    whole = np.pi * np.outer(grid.phi_weight, grid.weight)
+    np.testing.assert_allclose(shares.sum(axis=0) * 2.0 * np.pi / 64, whole, rtol=1e-12)
 
 
 def test_a_stated_error_is_no_less_than_the_true_one():
