@@ -18,8 +18,6 @@ SEL_TGT_CROP, SEL_TGT_CROP_DEFAULT, SEL_TGT_CROP_BOUNDS = 0, 1, 2
 CTRL_FLAG_DISABLED, CTRL_FLAG_GRABBED, CTRL_FLAG_READ_ONLY = 0x1, 0x2, 0x4
 CTRL_FLAG_INACTIVE, CTRL_FLAG_WRITE_ONLY = 0x10, 0x40
 CTRL_NEXT = 0x80000000
-CTRL_TYPE_CLASS = 6
-FRMSIZE_DISCRETE = 1
 
 
 class Capability(ct.Structure):
@@ -47,18 +45,6 @@ class FormatDescription(ct.Structure):
         ("pixelformat", ct.c_uint32),
         ("mbus_code", ct.c_uint32),
         ("reserved", ct.c_uint32 * 3),
-    ]
-
-
-class FrameSize(ct.Structure):
-    """struct v4l2_frmsizeenum; of a stepwise range ``values`` holds min, max, step per side."""
-
-    _fields_ = [
-        ("index", ct.c_uint32),
-        ("pixel_format", ct.c_uint32),
-        ("type", ct.c_uint32),
-        ("values", ct.c_uint32 * 6),
-        ("reserved", ct.c_uint32 * 2),
     ]
 
 
@@ -198,7 +184,6 @@ S_CTRL = _request(_BOTH, 28, Control)
 QUERYCTRL = _request(_BOTH, 36, QueryControl)
 G_SELECTION = _request(_BOTH, 94, Selection)
 S_SELECTION = _request(_BOTH, 95, Selection)
-ENUM_FRAMESIZES = _request(_BOTH, 74, FrameSize)
 
 
 def fourcc(name: str) -> int:

@@ -7,13 +7,15 @@ rig's camera under the merge of the plan's bracket.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.separation import square_contrast
-from analysis.spectrum import CONTRAST_ERROR, StripeWave, white_light
+from analysis.spectrum import CONTRAST_ERROR, Bins, StripeWave, white_light
 from analysis.stripe_aware import stripe_answer
 from analysis.stripe_problem import Observed
 from analysis.transport.eigenmodes import plane_light
@@ -47,6 +49,45 @@ def expect(scene: Scene, rig: Rig, plan: Plan) -> Observed:
         msg = f"rig {rig.name!r}: geometry.mm_per_px is needed to tell what it would see."
         raise PlanError(msg)
     noise = _Noise(scene, rig, plan)
+    light = _light(scene, pixel_mm, scene.light.peak_e_per_s * noise.gain_dn_per_e)
+    black = noise.of(rig.projector.black_level * light.white, noise.repeats("black"))
+    seen_stripes = [
+        _wave(pattern, light, scene, rig, partial(noise.of, repeats=repeats))
+        for pattern, repeats in _stripes_of(plan)
+    ]
+    variances = [variance for _, variance in seen_stripes]
+    pixels = np.diff(light.bins.first)
+    of_white = np.mean(variances, axis=0) / len(variances) + 4.0 * black / pixels
+    seen = white_light(light.white, of_white, pixel_mm, light.q[: N_WAVES + 1])
+    whole = _where_seen(np.ones(light.bins.x_mm.size), of_white)
+    return Observed(
+        x_mm=light.bins.x_mm,
+        white=replace(seen, moment=light.moment[: N_WAVES + 1] * whole),
+        stripes=tuple(wave for wave, _ in seen_stripes),
+        depth_mm=scene.tank.depth_mm,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Light:
+    """White light without noise, counts/s: its waves ``moment`` (n_q, n_x), its picture ``white``.
+
+    ``profile`` holds the beam's waves, one at q = 0; ``counts`` is what the beam's axis would give
+    at the face, ``across_mm`` the beam's width weighted by its irradiance.
+    """
+
+    bins: Bins
+    q: Array
+    profile: NDArray[np.complex128]
+    across_mm: float
+    slope: float
+    counts: float
+    pixel_mm: float
+    moment: NDArray[np.complex128]
+    white: Array
+
+
+def _light(scene: Scene, pixel_mm: float, counts: float) -> _Light:
     medium, tank, beam = scene.medium.record(), scene.tank.record(), scene.beam.record()
     rows, cols = round(tank.width_mm / pixel_mm), round(tank.depth_mm / pixel_mm)
     bins = depth_bins(cols, pixel_mm, medium.sigma_t_per_mm)
@@ -70,48 +111,53 @@ def expect(scene: Scene, rig: Rig, plan: Plan) -> Observed:
             for w in q
         ]
     )
-    counts = scene.light.peak_e_per_s * noise.gain_dn_per_e
     moment = counts * across_mm * profile[:, None] * answer
     moment = moment * np.exp(-1j * slope * np.outer(q, bins.x_mm))
     heights = np.asarray((np.arange(rows) + 0.5) * pixel_mm - origin, dtype=np.float64)
-    white = _picture(moment, q, heights, rows * pixel_mm)
-
-    black = noise.of(rig.projector.black_level * white, noise.repeats("black"))
-    stripes, variances = [], []
-    for pattern, repeats in _stripes_of(plan):
-        wave = 2.0 * math.pi / (pattern.period_px * rig.projection.mm_per_px)
-        n = pattern.shifts
-        size = stripe_answer(medium, wave, bins.x_mm, depth_mm=tank.depth_mm, slope=slope)
-        blur = math.exp(-0.5 * (2.0 * math.pi * rig.projection.blur_px / pattern.period_px) ** 2)
-        c1 = square_contrast(0.5) * blur * float(np.sinc(wave * pixel_mm / (2.0 * math.pi)))
-        direct = np.minimum(counts * size, white)  # of lit against dark stripes
-        leak = rig.projector.black_level * white
-        lit = noise.of(0.5 * (white + direct) + leak, repeats)
-        dark = noise.of(0.5 * (white - direct) + leak, repeats)
-        variance = 0.5 * (lit + dark) / np.diff(bins.first)
-        variances.append(4.0 * variance / n)
-        stripes.append(
-            StripeWave(
-                wavenumber_per_mm=wave,
-                slope=slope,
-                amplitude=_where_seen(counts * across_mm * c1 * size, variance),
-                std=pixel_mm * np.sqrt(np.nansum(2.0 * variance / n, axis=0)),
-                profile=profile[1 : N_WAVES + 1],
-                profile_std=np.full(N_WAVES, 1e-4),
-                contrast=c1 if n >= 6 else None,
-                contrast_std=CONTRAST_ERROR,
-            )
-        )
-    of_white = np.mean(variances, axis=0) / len(variances)
-    of_white = of_white + 4.0 * black / np.diff(bins.first)
-    seen = white_light(white, of_white, pixel_mm, q[: N_WAVES + 1])
-    whole = _where_seen(np.ones(bins.x_mm.size), of_white)
-    return Observed(
-        x_mm=bins.x_mm,
-        white=replace(seen, moment=moment[: N_WAVES + 1] * whole),
-        stripes=tuple(stripes),
-        depth_mm=tank.depth_mm,
+    return _Light(
+        bins=bins,
+        q=q,
+        profile=profile,
+        across_mm=across_mm,
+        slope=slope,
+        counts=counts,
+        pixel_mm=pixel_mm,
+        moment=moment,
+        white=_picture(moment, q, heights, rows * pixel_mm),
     )
+
+
+def _wave(
+    pattern: StripesPattern,
+    light: _Light,
+    scene: Scene,
+    rig: Rig,
+    variance_of: Callable[[Array], Array],
+) -> tuple[StripeWave, Array]:
+    """Return the wave of stripes, and the variance (rows, n_x) that they leave of white light."""
+    x_mm, pixels, projection = light.bins.x_mm, np.diff(light.bins.first), rig.projection
+    wave = 2.0 * math.pi / (pattern.period_px * projection.mm_per_px)
+    medium, depth_mm = scene.medium.record(), scene.tank.depth_mm
+    size = stripe_answer(medium, wave, x_mm, depth_mm=depth_mm, slope=light.slope)
+    blur = math.exp(-0.5 * (2.0 * math.pi * projection.blur_px / pattern.period_px) ** 2)
+    c1 = square_contrast(0.5) * blur * float(np.sinc(wave * light.pixel_mm / (2.0 * math.pi)))
+    direct = np.minimum(light.counts * size, light.white)  # of lit against dark stripes
+    leak = rig.projector.black_level * light.white
+    lit = variance_of(0.5 * (light.white + direct) + leak)
+    dark = variance_of(0.5 * (light.white - direct) + leak)
+    variance = 0.5 * (lit + dark) / pixels
+    of_sum = 2.0 * variance / pattern.shifts
+    seen = StripeWave(
+        wavenumber_per_mm=wave,
+        slope=light.slope,
+        amplitude=_where_seen(light.counts * light.across_mm * c1 * size, variance),
+        std=light.pixel_mm * np.sqrt(np.nansum(of_sum, axis=0)),
+        profile=light.profile[1 : N_WAVES + 1],
+        profile_std=np.full(N_WAVES, 1e-4),
+        contrast=c1 if pattern.shifts >= 6 else None,
+        contrast_std=CONTRAST_ERROR,
+    )
+    return seen, 4.0 * variance / pattern.shifts
 
 
 class _Noise:

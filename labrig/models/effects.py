@@ -150,10 +150,6 @@ class RollingShutterConfig(Model):
     row_time_s: NonNegative | None = None
 
 
-def _named(name: str) -> Word | None:
-    return Field(None, alias=name)
-
-
 class Effects(Model):
     """The effects of a scene, in any order; one that is not named does not happen."""
 

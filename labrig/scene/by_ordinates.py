@@ -23,7 +23,6 @@ from labrig.scene.answer import Answer, Array, Wave
 from labrig.scene.response import bounces_of
 
 TOLERANCE = 1e-3  # of each bounce under white light
-CELL_PERIODS = 8.0  # cells of a wave's picture to a period, at least along the face
 REACH = 12.0  # mean free paths between the lit part and its repetition
 FINEST_MM = 0.05
 N_TABLE = 48  # wavenumbers that are solved for; the answer is smooth between them

@@ -11,7 +11,6 @@ from drivers.transport import v4l2_ioctl as v4l2
 STRUCTURES = {
     "v4l2_capability": v4l2.Capability,
     "v4l2_fmtdesc": v4l2.FormatDescription,
-    "v4l2_frmsizeenum": v4l2.FrameSize,
     "v4l2_pix_format": v4l2.PixelFormat,
     "v4l2_format": v4l2.Format,
     "v4l2_streamparm": v4l2.StreamParameters,
@@ -50,7 +49,6 @@ NUMBERS = {
     "VIDIOC_QUERYCTRL": v4l2.QUERYCTRL,
     "VIDIOC_G_SELECTION": v4l2.G_SELECTION,
     "VIDIOC_S_SELECTION": v4l2.S_SELECTION,
-    "VIDIOC_ENUM_FRAMESIZES": v4l2.ENUM_FRAMESIZES,
     "V4L2_BUF_FLAG_ERROR": v4l2.BUF_FLAG_ERROR,
     "V4L2_BUF_FLAG_TIMESTAMP_MASK": v4l2.TIMESTAMP_MASK,
     "V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC": v4l2.TIMESTAMP_MONOTONIC,
@@ -59,7 +57,6 @@ NUMBERS = {
     "V4L2_CTRL_FLAG_NEXT_CTRL": v4l2.CTRL_NEXT,
     "V4L2_CTRL_FLAG_INACTIVE": v4l2.CTRL_FLAG_INACTIVE,
     "V4L2_CTRL_FLAG_READ_ONLY": v4l2.CTRL_FLAG_READ_ONLY,
-    "V4L2_CTRL_TYPE_CTRL_CLASS": v4l2.CTRL_TYPE_CLASS,
     "V4L2_SEL_TGT_CROP_BOUNDS": v4l2.SEL_TGT_CROP_BOUNDS,
     "V4L2_CAP_STREAMING": v4l2.CAP_STREAMING,
     "V4L2_CAP_DEVICE_CAPS": v4l2.CAP_DEVICE_CAPS,
