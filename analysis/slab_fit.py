@@ -14,7 +14,7 @@ import numpy as np
 from analysis.errors import AnalysisError
 from analysis.medium import Slab
 from analysis.phase_function import Array
-from analysis.slab_profiles import SlabProfiles
+from analysis.slab_profiles import Problem, SlabProfiles
 from analysis.slab_search import Contrasts, Found, gain, search, search_table
 from analysis.slab_table import SlabTable, camera_orders
 from analysis.transport.slab_resolution import directions
@@ -116,6 +116,7 @@ def _told(found: Found, by_errors: Array, by_walls: Array) -> SlabFit:
     problem, at = found.problem, found.at
     noise = (problem.noise / problem.std)[problem.use]
     by_noise = by_errors[:3, : noise.size] * noise
+    by_common = _by_common(problem, by_noise)
     by_model = by_errors[:3].copy()
     by_model[:, : noise.size] *= np.sqrt(1.0 - noise**2)
     sigma_t, albedo, g = (float(v) for v in at)
@@ -131,7 +132,7 @@ def _told(found: Found, by_errors: Array, by_walls: Array) -> SlabFit:
         g=g,
         scales=scales,
         scale_std=float(np.linalg.norm(by_errors[3, : noise.size] * noise)),
-        covariance=to_sigma_s @ by_noise @ by_noise.T @ to_sigma_s.T,
+        covariance=to_sigma_s @ (by_noise @ by_noise.T + by_common) @ to_sigma_s.T,
         model_covariance=to_sigma_s @ by_model @ by_model.T @ to_sigma_s.T,
         by_height=to_sigma_s @ by_walls[0],
         by_index=to_sigma_s @ by_walls[1],
@@ -142,6 +143,16 @@ def _told(found: Found, by_errors: Array, by_walls: Array) -> SlabFit:
         solver_shift=to_sigma_s @ found.shift,
         n_solved=found.n_solved,
     )
+
+
+def _by_common(problem: Problem, by_noise: Array) -> Array:
+    """Return the covariance (3, 3) by noise that stripes and white light have in common."""
+    each = np.zeros((3, *problem.values.shape))
+    each[:, problem.use] = by_noise
+    crossed = np.einsum(
+        "akx,kx,bx->ab", each[:, : len(problem.shared)], problem.shared, each[:, -1]
+    )
+    return np.asarray(crossed + crossed.T)
 
 
 def _by_walls(found: Found, by_errors: Array) -> Array:

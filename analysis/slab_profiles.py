@@ -32,6 +32,7 @@ class SlabProfiles:
     white, white_variance : (n_x,), or None
     contrast_std : (n_q,), relative, of the contrasts; infinite where one is not known. Zero if
         left out
+    shared : (n_q, n_x), covariances of the harmonics with the white light; none if left out
     model_error : of the light at a depth, relative: what the model leaves unexplained there
     face_error : the same, of the brightest light
     """
@@ -44,6 +45,7 @@ class SlabProfiles:
     white: Array | None
     white_variance: Array | None
     contrast_std: Array | None = None
+    shared: Array | None = None
     model_error: float = 0.0
     face_error: float = 0.0
 
@@ -91,6 +93,7 @@ class Problem:
     noise : (n, n_x), std of the camera's noise; ``std`` holds the model's own error too
     at_mm, weight : (n_x, s) points of each bin and their weights
     to_points : (n_x s, n_nodes), spline from the table's depths
+    shared : (n_q, n_x), correlation of the camera's noise of each harmonic and of the white light
     ratio, ratio_std : (n_q,), what a harmonic's scale is expected to be over that of white light,
         and how well that is known, relative
     """
@@ -102,6 +105,7 @@ class Problem:
     at_mm: Array
     weight: Array
     to_points: Array
+    shared: Array
     ratio: Array
     ratio_std: Array
 
@@ -115,9 +119,14 @@ class Problem:
         told = np.zeros(n_q) if profiles.contrast_std is None else profiles.contrast_std
         brightest = np.nanmax(np.abs(values), axis=1, keepdims=True)
         error = profiles.model_error * np.abs(values) + profiles.face_error * brightest
+        noise = np.sqrt(variance)
+        shared = np.zeros((n_q, values.shape[1]))
+        if profiles.shared is not None and len(values) > n_q:
+            shared = np.nan_to_num(profiles.shared / (noise[:n_q] * noise[-1]))
         return cls(
             values=values,
-            noise=np.sqrt(variance),
+            noise=noise,
+            shared=shared,
             std=np.sqrt(variance + error**2),
             use=np.isfinite(values),
             at_mm=at_mm,

@@ -49,6 +49,8 @@ class StripeWave:
         `WhiteLight`
     contrast, contrast_std : c1, amplitude of the stripes over white light where they enter, and its
         relative standard deviation; None where it is not known
+    shared : (n_x,), covariance of the amplitude with the white light's integral, where that is the
+        mean of the same shifts: lit pixels are noisier, and both take that in. None if untold
     """
 
     wavenumber_per_mm: float
@@ -59,6 +61,7 @@ class StripeWave:
     profile_std: Array
     contrast: float | None = None
     contrast_std: float = 0.0
+    shared: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,7 +159,12 @@ def demodulate(net: Stack) -> ComplexArray:
 
 
 def stripe_wave(
-    z: ComplexArray, variance: Array, pixel_mm: float, bins: Bins, white: WhiteLight
+    z: ComplexArray,
+    variance: Array,
+    pixel_mm: float,
+    bins: Bins,
+    white: WhiteLight,
+    shared: ComplexArray | None = None,
 ) -> StripeWave:
     """Return the stripes' amplitude against depth, and the profile of their illumination.
 
@@ -166,6 +174,7 @@ def stripe_wave(
     Parameters
     ----------
     z, variance : (rows, n_x), binned `demodulate` and the variance of its real part
+    shared : (rows, n_x), covariance of z with the white light of its pixels, if that is told
 
     Raises
     ------
@@ -187,6 +196,7 @@ def stripe_wave(
     known = np.where(np.isfinite(variance), variance, 0.0)
     std = pixel_mm * np.sqrt(known.sum(axis=0))
     amplitude, turn, drift = in_phase(sums[0], bins.x_mm)
+    common = None if shared is None else pixel_mm * (waves[0] @ np.nan_to_num(shared) * turn).real
     slope = -drift / q
     # The waves of the profile beside the stripes' own, in the frame of the beam.
     along = sums[1:] * turn * np.exp(1j * slope * np.outer(q_j, bins.x_mm))
@@ -199,6 +209,7 @@ def stripe_wave(
         std=std,
         profile=np.asarray(np.where(near, along, 0.0) @ weight / norm, dtype=np.complex128),
         profile_std=np.full(q_j.size, math.sqrt(float(np.sum((weight * std) ** 2))) / norm),
+        shared=common,
     )
 
 

@@ -195,7 +195,7 @@ def observe(pictures: Pictures, setup: Setup, sigma_t_per_mm: float, tank: Tank)
         observed=Observed(
             x_mm=bins.x_mm,
             white=white,
-            stripes=tuple(g.stripes(pixel, bins, white) for g in gathered),
+            stripes=tuple(g.stripes(pixel, bins, white, n_series=len(series)) for g in gathered),
             depth_mm=tank.depth_mm,
         ),
         series=series,
@@ -244,27 +244,47 @@ def fit_seen(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Gathered:
-    """A series by depths: (n_shifts, rows, n_x), and the variance of one shift, (rows, n_x)."""
+    """A series by depths: (n_shifts, rows, n_x), and the variance of one shift, (rows, n_x).
+
+    ``uneven`` is the variance's own wave over the shifts, (rows, n_x): lit pixels are noisier.
+    """
 
     series: Series
     net: Array
     variance: Array
+    uneven: ComplexArray
+
+    @property
+    def lit(self) -> float:
+        """Light of the mean of the shifts, as a share of that of a wholly lit field."""
+        series = self.series
+        return series.low + (series.high - series.low) * series.duty
 
     def white(self, black_variance: Array | None) -> tuple[Array, Array]:
         """Return a wholly lit field from the mean of the shifts, and its variance."""
-        series, n = self.series, self.net.shape[0]
-        lit = series.low + (series.high - series.low) * series.duty
+        lit, n = self.lit, self.net.shape[0]
         noise = self.variance / n + (0.0 if black_variance is None else black_variance)
         return self.net.mean(axis=0) / lit, noise / lit**2
 
-    def stripes(self, pixel: float, bins: Bins, white: WhiteLight) -> StripeWave:
-        """Return the stripes' wave, a known loss of contrast with depth taken out."""
-        noise = self.variance * 2.0 / self.net.shape[0]
-        found = stripe_wave(demodulate(self.net), noise, pixel, bins, white)
-        if self.series.contrast is None:
+    def stripes(self, pixel: float, bins: Bins, white: WhiteLight, *, n_series: int) -> StripeWave:
+        """Return the stripes' wave, a known loss of contrast with depth taken out.
+
+        The white light is the mean of ``n_series`` series, of which this is one.
+        """
+        n = self.net.shape[0]
+        shared = self.uneven / (n * self.lit * n_series)
+        noise = self.variance * 2.0 / n
+        found = stripe_wave(demodulate(self.net), noise, pixel, bins, white, shared)
+        if self.series.contrast is None or found.shared is None:
             return found
         c1 = self.series.contrast(bins.x_mm)
-        return replace(found, amplitude=found.amplitude / c1 * c1[0], std=found.std / c1 * c1[0])
+        kept = c1[0] / c1
+        return replace(
+            found,
+            amplitude=found.amplitude * kept,
+            std=found.std * kept,
+            shared=found.shared * kept,
+        )
 
     def third(self) -> ComplexArray | None:
         """Return the third harmonic over the shifts, (rows, n_x), where there is one."""
@@ -273,7 +293,10 @@ class _Gathered:
 
 def _gather(series: Series, bins: Bins) -> _Gathered:
     net, variance = bins.gather(series.net, series.variance)
-    return _Gathered(series=series, net=net, variance=variance)
+    each, _ = bins.gather(series.variance, series.variance)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        uneven = demodulate(each) * (variance / each.mean(axis=0))
+    return _Gathered(series=series, net=net, variance=variance, uneven=uneven)
 
 
 def _mean(whites: list[tuple[Array, Array]]) -> tuple[Array, Array]:

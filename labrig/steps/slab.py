@@ -171,9 +171,15 @@ def profiles_of(seen: Seen, pixel_mm: float, sigma_t_per_mm: float) -> tuple[Sla
         contrast_std=np.array(
             [std if told else math.inf for told, (_, std) in zip(known, contrasts, strict=True)]
         ),
+        shared=_shared(observed) / sharp[:, None],
         model_error=MODEL_ERROR,
         face_error=FACE_ERROR,
     ), sharp
+
+
+def _shared(observed: Observed) -> Array:
+    none = np.zeros(observed.x_mm.size)
+    return np.array([none if s.shared is None else s.shared for s in observed.stripes])
 
 
 def _looks_like_layer(

@@ -196,6 +196,34 @@ def test_harmonics_over_the_shifts_are_told_apart():
         demodulate(net[:3])
 
 
+def test_stripes_and_white_light_of_the_same_frames_share_noise():
+    """The covariance that is told is that of drawn photons; lit pixels are the noisier ones."""
+    rng = np.random.default_rng(4)
+    rows, cols, shifts, pixel = 96, 12, np.arange(6)[:, None, None], 0.5
+    y = (np.arange(rows) + 0.5) * pixel
+    lit = (y[:, None] * 6.0 / 4.0 - shifts + 0.25) % 6.0 < 3.0
+    mean = np.exp(-0.1 * np.arange(cols)) * np.where(lit, 400.0, 40.0)
+    bins = Bins.of(cols, pixel, 2.0 * pixel)
+    first, _ = bins.gather(mean, mean)
+    shared = demodulate(first) / (6 * 2)  # of shifts, of pixels in a bin
+    waves = np.zeros(1)
+    amplitude, whole = [], []
+    for _ in range(400):
+        net, variance = bins.gather(rng.poisson(mean).astype(np.float64), mean)
+        white = white_light(net.mean(axis=0), variance / 6, pixel, waves)
+        seen = stripe_wave(demodulate(net), variance * 2 / 6, pixel, bins, white, shared)
+        amplitude.append(seen.amplitude)
+        whole.append(white.moment[0].real)
+    covariance = np.mean(
+        (amplitude - np.mean(amplitude, axis=0)) * (whole - np.mean(whole, axis=0)), axis=0
+    )
+    stds = np.std(amplitude, axis=0) * np.std(whole, axis=0)
+    told = seen.shared / (seen.std * np.sqrt(white.covariance[:, 0, 0]))
+    # measured 0.734 seen, 0.739 told; 6 depths x 400 draws know it to 0.01
+    assert np.mean(told) > 0.6
+    assert np.mean(covariance / stds) == pytest.approx(np.mean(told), abs=0.04)
+
+
 def test_no_stripes_are_not_found():
     bins = Bins.of(40, 0.5, 0.5)
     flat = np.ones((80, 40), dtype=complex)
