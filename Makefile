@@ -7,7 +7,7 @@ HARDWARE_PACKAGES := xvfb x11-xserver-utils libxrandr2 libxss1 g++ gcc libc6-dev
     libusb-1.0-0 umockdev gir1.2-umockdev-1.0 python3-gi gir1.2-aravis-0.8
 VM_PACKAGES := qemu-system-x86 busybox-static cpio kmod udev v4l-utils
 
-.PHONY: demo test test-window hardware-packages vm-packages genicam hardware-vm lint types contracts bench bench-gui soak screenshots torture figures lock install clean
+.PHONY: demo test test-window hardware-packages vm-packages genicam hardware-vm lint types contracts bench bench-peers bench-gui soak screenshots torture figures lock install clean
 
 demo: install  ## the main job on the simulated rig
 	@$(BIN)/labrig demo
@@ -31,6 +31,9 @@ contracts: install
 
 bench: install  ## everything that is fast or slow
 	@$(BIN)/python -m pytest tests/benchmarks --benchmark-enable -q -s
+
+bench-peers: install  ## beside what a user would take instead, each in an environment of its own
+	@$(BIN)/python tests/benchmarks/peers.py
 
 bench-gui: install  ## how fast the operator's window is
 	@$(BIN)/python tests/gui/bench_window.py
