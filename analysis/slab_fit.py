@@ -65,14 +65,6 @@ class SlabFit:
         std = np.sqrt(np.diag(self.covariance))
         return np.asarray(self.covariance / np.outer(std, std))
 
-    def covariance_with(self, *, height_std_mm: float, index_std: float) -> Array:
-        """Return all covariance, with what is not known of height and index, (3, 3)."""
-        found = self.covariance + self.model_covariance
-        for slope, std in ((self.by_height, height_std_mm), (self.by_index, index_std)):
-            if std > 0.0:
-                found += np.outer(slope, slope) * std**2
-        return np.asarray(found)
-
 
 def fit_slab(
     profiles: SlabProfiles,
@@ -150,7 +142,7 @@ def _by_common(problem: Problem, by_noise: Array) -> Array:
     each = np.zeros((3, *problem.values.shape))
     each[:, problem.use] = by_noise
     crossed = np.einsum(
-        "akx,kx,bx->ab", each[:, : len(problem.shared)], problem.shared, each[:, -1]
+        "akx,kx,bx->ab", each[:, : len(problem.correlation)], problem.correlation, each[:, -1]
     )
     return np.asarray(crossed + crossed.T)
 

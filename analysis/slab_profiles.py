@@ -93,7 +93,7 @@ class Problem:
     noise : (n, n_x), std of the camera's noise; ``std`` holds the model's own error too
     at_mm, weight : (n_x, s) points of each bin and their weights
     to_points : (n_x s, n_nodes), spline from the table's depths
-    shared : (n_q, n_x), correlation of the camera's noise of each harmonic and of the white light
+    correlation : (n_q, n_x), of the camera's noise in each harmonic and in the white light
     ratio, ratio_std : (n_q,), what a harmonic's scale is expected to be over that of white light,
         and how well that is known, relative
     """
@@ -105,7 +105,7 @@ class Problem:
     at_mm: Array
     weight: Array
     to_points: Array
-    shared: Array
+    correlation: Array
     ratio: Array
     ratio_std: Array
 
@@ -120,13 +120,13 @@ class Problem:
         brightest = np.nanmax(np.abs(values), axis=1, keepdims=True)
         error = profiles.model_error * np.abs(values) + profiles.face_error * brightest
         noise = np.sqrt(variance)
-        shared = np.zeros((n_q, values.shape[1]))
+        correlation = np.zeros((n_q, values.shape[1]))
         if profiles.shared is not None and len(values) > n_q:
-            shared = np.nan_to_num(profiles.shared / (noise[:n_q] * noise[-1]))
+            correlation = np.nan_to_num(profiles.shared / (noise[:n_q] * noise[-1]))
         return cls(
             values=values,
             noise=noise,
-            shared=shared,
+            correlation=correlation,
             std=np.sqrt(variance + error**2),
             use=np.isfinite(values),
             at_mm=at_mm,

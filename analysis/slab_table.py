@@ -171,10 +171,7 @@ class SlabTable:
 def _polynomials(value: float, span: Range, n: int) -> Array:
     """Return Chebyshev polynomials 0 .. n - 1 of a value within a range."""
     u = (2.0 * value - span[0] - span[1]) / (span[1] - span[0])
-    found = [1.0, u]
-    while len(found) < n:
-        found.append(2.0 * u * found[-1] - found[-2])
-    return np.array(found)
+    return np.asarray(np.polynomial.chebyshev.chebvander(np.array([u]), n - 1)[0])
 
 
 def camera_orders(

@@ -25,7 +25,7 @@ from labrig.models.rig import Rig
 from labrig.models.scene import Scene
 from labrig.plan import bracket_of
 from labrig.scene.filled import refuse_layer
-from labrig.steps.joint import N_WAVES, depth_bins
+from labrig.steps.waves import N_WAVES, depth_bins
 
 Array = NDArray[np.float64]
 

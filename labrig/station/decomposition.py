@@ -29,9 +29,7 @@ from labrig.steps.joint import (
     G_ASSUMED,
     G_UNKNOWN,
     OFF_MODEL,
-    Seen,
     fit_seen,
-    observe,
     refuse_near_walls,
     std_of_g,
     walls_of,
@@ -39,6 +37,7 @@ from labrig.steps.joint import (
 from labrig.steps.record import scale_c_of
 from labrig.steps.rectify import Pictures
 from labrig.steps.separation import separate
+from labrig.steps.waves import Seen, observe
 
 Array = NDArray[np.float64]
 NODES = 49  # of the reduced grid of the bounces, along the depth

@@ -23,9 +23,10 @@ from calibration.errors import CalibrationError
 from labrig.models.analysis import Analysis
 from labrig.models.setup import WATER, Setup
 from labrig.steps.decay import Decay
-from labrig.steps.joint import Joint, Seen, observe
+from labrig.steps.joint import Joint
 from labrig.steps.rectify import Pictures
 from labrig.steps.slab_tables import fit_by_kept, keep_table
+from labrig.steps.waves import Seen, observe
 
 Array = NDArray[np.float64]
 

@@ -13,10 +13,11 @@ from labrig.config import parse
 from labrig.models.setup import Setup
 from labrig.steps.corrections import gather
 from labrig.steps.decay import attenuate
-from labrig.steps.joint import fit_seen, observe, walls_of
+from labrig.steps.joint import fit_seen, walls_of
 from labrig.steps.linearise import linearise
 from labrig.steps.rectify import rectify
 from labrig.steps.separation import separate
+from labrig.steps.waves import observe
 
 FOLDER = labrig.config_folder()
 PLAN = {

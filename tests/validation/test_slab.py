@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
+from slabs import binned, solved
 
 from analysis.errors import AnalysisError
 from analysis.light_field import Grid
@@ -13,7 +14,7 @@ from analysis.medium import Beam, Medium, Slab, Tank
 from analysis.slab_field import slab_bounces
 from analysis.transport.fresnel import reflectance
 from analysis.transport.montecarlo_slab import SlabSample, simulate_slab
-from analysis.transport.slab import SlabField, solve_slab
+from analysis.transport.slab import solve_slab
 from analysis.transport.slab_grid import bearings_of
 from analysis.transport.slab_resolution import depths, directions
 from analysis.transport.slab_second import second_order
@@ -25,23 +26,6 @@ SLAB = Slab(depth_mm=30.0, height_mm=5.0, surface_index=1.33)
 
 def medium(sigma_t: float, g: float) -> Medium:
     return Medium(sigma_t_per_mm=sigma_t, sigma_s_per_mm=sigma_t, g=g)
-
-
-def solved(
-    m: Medium, slab: Slab, *, q: float = 0.0, fineness: float = 1.0, orders: int = 6
-) -> SlabField:
-    x = depths(m.sigma_t_per_mm, slab, fineness=fineness)
-    grid = directions(m.g, slab, x, wavenumber_per_mm=q, fineness=fineness)
-    return solve_slab(m, slab, grid, n_bounces=orders, wavenumber_per_mm=q)
-
-
-def binned(values, x_mm, sigma_t, edges_mm):
-    """Means over bins of values times exp(-sigma_t x), (..., n_bins)."""
-    node, weight = np.polynomial.legendre.leggauss(8)
-    width = np.diff(edges_mm)[:, None]
-    at = edges_mm[:-1, None] + 0.5 * width * (node + 1.0)
-    seen = CubicSpline(x_mm, values, axis=-1)(at) * np.exp(-sigma_t * at)
-    return seen @ (0.5 * weight)
 
 
 @pytest.fixture(scope="module")
