@@ -8,7 +8,7 @@ g = 0.9 sigma_t and sigma_s are so alike that without them the search does not s
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -34,13 +34,16 @@ TABLES: tuple[Choice, ...] = (  # range of g, of sigma_t over the decay, finenes
 FINE, FINER = 1.1, 0.5  # of the last solutions: at g = 0, and how much more where g is one
 MEDIUM, MORE = 0.65, 0.4  # fineness at which derivatives are taken: likewise
 COARSE_TAIL = 1e-3
-APPROACHES, CORRECTIONS = 5, 8
-UPHILL = 1.001  # of the least sum of squares: a correction that ends above it went too far
-STEPS = (0.01, 0.01)  # of the derivatives: relative in sigma_t, and in g
+APPROACHES, CORRECTIONS = 3, 12
+AFRESH = 0.5  # of the room, after which derivatives are taken again for finer solutions
+LESS = 0.2  # of the room, once a step went uphill
+UPHILL = 1.0005  # of the least sum of squares: a correction that ends above it went too far
+STEPS = (0.002, 0.002)  # of the derivatives: relative in sigma_t, and in g
 ROOM = (0.1, 0.05)  # within which the moved orders are believed: likewise
-NEAR = 1.0  # standard deviations or percents, within which derivatives need not be taken again
+NEAR = 3.0  # likewise, before finer solutions are called for
 CONVINCING = 2.0  # chi^2 per degree of freedom below which no other start is tried
-SETTLED = 0.1  # of a standard deviation or of half a percent, if that is more
+SETTLED = 0.1  # of a standard deviation, or of a thousandth if that is more
+LEAST = 1e-3
 MOST_SEEN = 7.0  # mean free paths beyond the last bin that are still solved for
 ALBEDO = (1e-3, 1.0)
 AT_END = 0.02  # of a range of g: then the next one is tried
@@ -69,50 +72,27 @@ class Found:
 def search(profiles: SlabProfiles, slab: Slab, contrasts: Contrasts | None) -> Found:
     """Find the medium with a coarse table, then with better solutions around what it says."""
     at, problem, table, n_solved = _first(profiles, slab)
-    n_q, sure = table.wavenumbers_per_mm.size, False
-    grids = _Grids.of(table, at, MEDIUM + MORE * at[2] ** 8)
+    descent = _Descent(problem=problem, contrasts=contrasts)
     for _ in range(APPROACHES):
+        grids = _Grids.of(table, at, MEDIUM + MORE * at[2] ** 8)
         local = _Local.of(table, at, grids)
-        n_solved += 3 * n_q
-        if contrasts is not None:
-            problem = problem.with_ratio(*contrasts(at[0], at[0] * at[1], at[2]))
-        before = at
-        at, sure = minimise(problem, local.orders, local.bounds(), at)
-        if _stands(problem, local.orders, at, before, NEAR):
+        at = descent.run(local, grids, NEAR)
+        n_solved += 2 * len(grids.of_q)
+        if abs(at[2] - grids.g) < ROOM[1]:
             break
-        if abs(at[2] - grids.g) > 0.5 * ROOM[1]:
-            grids = _Grids.of(table, at, MEDIUM + MORE * at[2] ** 8)
+    if np.any(np.abs(at - local.where) > AFRESH * local.room):
+        descent.local = _Local.of(table, at, grids)
+        n_solved += 2 * len(grids.of_q)
     fine = _Grids.of(table, at, FINE + FINER * at[2] ** 8)
-    settled, best, least = False, at, np.inf
-    for _ in range(CORRECTIONS):
-        local = local.moved_to(table, at, fine)
-        n_solved += n_q
-        if contrasts is not None:
-            problem = problem.with_ratio(*contrasts(at[0], at[0] * at[1], at[2]))
-        cost = _cost(problem, local.orders, at)
-        if cost > UPHILL * least:
-            at = 0.5 * (at + best)  # the step went further than its derivatives hold
-            continue
-        before, best, least = at, at, min(cost, least)
-        at, sure = minimise(problem, local.orders, local.bounds(), at)
-        settled = _stands(problem, local.orders, at, before, SETTLED)
-        if settled:
-            break
-        if not _stands(problem, local.orders, at, before, NEAR):
-            local = _Local.of(table, at, grids)
-            n_solved += 3 * n_q
-    shift = at - before
-    if not settled:
-        at, local = best, local.moved_to(table, best, fine)
-        n_solved += n_q
+    at = descent.run(descent.local, fine, SETTLED)
     return Found(
         at=at,
-        orders=local.orders,
-        problem=problem,
+        orders=descent.local.orders,
+        problem=descent.problem,
         table=table,
-        shift=shift,
-        sure=sure and settled,
-        n_solved=n_solved,
+        shift=descent.shift,
+        sure=descent.inside and descent.settled,
+        n_solved=n_solved + descent.n_solved,
     )
 
 
@@ -162,7 +142,48 @@ def _stands(problem: Problem, orders: Orders, at: Array, before: Array, share: f
     """
     misfit = max(_cost(problem, orders, at) / problem.degrees_of_freedom, 1.0)
     std = np.linalg.norm(gain(problem, orders, at)[:3], axis=1) * np.sqrt(misfit)
-    return bool(np.all(np.abs(at - before) < share * np.maximum(std, 0.005 * np.abs(at))))
+    return bool(np.all(np.abs(at - before) < share * np.maximum(std, LEAST * np.abs(at))))
+
+
+@dataclass(slots=True, kw_only=True)
+class _Descent:
+    """Steps to the minimum, each by orders that were moved to what a solution says at the last.
+
+    A step that ends higher than it began is taken back; what was solved there mends the slope.
+    """
+
+    problem: Problem
+    contrasts: Contrasts | None
+    local: _Local = field(init=False)
+    shift: Array = field(init=False)
+    inside: bool = False
+    settled: bool = False
+    n_solved: int = 0
+
+    def run(self, local: _Local, grids: _Grids, share: float) -> Array:
+        """Return (sigma_t, albedo, g) once a step is less than a share of what is known of it."""
+        least, room, at, tried = np.inf, 1.0, local.where, local
+        for _ in range(CORRECTIONS):
+            tried = tried.moved_to(at, grids)
+            self.n_solved += len(grids.of_q)
+            if self.contrasts is not None:
+                told = self.contrasts(at[0], at[0] * at[1], at[2])
+                self.problem = self.problem.with_ratio(*told)
+            cost = _cost(self.problem, tried.orders, at)
+            if cost < UPHILL * least:
+                best, least, self.local = at, min(cost, least), tried
+                room = min(2.0 * room, 1.0)
+            else:
+                room *= LESS
+                self.local = self.local.sloping_as(tried)
+            orders = self.local.orders
+            at, inside = minimise(self.problem, orders, self.local.bounds(room), best)
+            self.shift = at - best
+            self.inside = inside or room < 1.0
+            self.settled = inside and _stands(self.problem, orders, at, best, share)
+            if self.settled:
+                return at
+        return best
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -200,56 +221,80 @@ class _Local:
 
     Attributes
     ----------
-    at : sigma_t, g
+    where : sigma_t, albedo, g
     moves : of each wave number (3, K, n_x): the orders, their derivatives by sigma_t and by g
     """
 
     table: SlabTable
-    at: tuple[float, float]
+    where: Array
     moves: tuple[Array, ...]
+    by: _Grids
 
     @classmethod
     def of(cls, table: SlabTable, where: Array, grids: _Grids) -> _Local:
         sigma_t, g = float(where[0]), float(where[2])
         step_t, step_g = STEPS[0] * sigma_t, -STEPS[1]
         places = ((sigma_t, g), (sigma_t + step_t, g), (sigma_t, g + step_g))
-        off = []
-        for place in places:
-            solved, kept = grids.orders(table, *place), table.orders(*place)
-            off.append([one - other for one, other in zip(solved, kept, strict=True)])
+        off = [_off(table, grids, *place) for place in places]
         moves = tuple(
             np.array([here, (by_t - here) / step_t, (by_g - here) / step_g])
             for here, by_t, by_g in zip(*off, strict=True)
         )
-        return cls(table=table, at=(sigma_t, g), moves=moves)
+        return cls(table=table, where=where, moves=moves, by=grids)
 
-    def moved_to(self, table: SlabTable, where: Array, grids: _Grids) -> _Local:
-        """Return the orders moved to better solutions at another place, derivatives kept."""
-        sigma_t, g = float(where[0]), float(where[2])
-        solved, kept = grids.orders(table, sigma_t, g), table.orders(sigma_t, g)
+    def moved_to(self, where: Array, grids: _Grids) -> _Local:
+        """Return the orders moved to better solutions at another place.
+
+        Where they are those of such solutions already, derivatives are turned to what the two
+        places say of them (Broyden's update).
+        """
+        if self.by is grids and np.array_equal(where, self.where):
+            return self
+        off = _off(self.table, grids, float(where[0]), float(where[2]))
+        scale = np.array([STEPS[0] * self.where[0], STEPS[1]])
+        step = (where - self.where)[[0, 2]] / scale
+        turn = step / (step @ step) / scale if self.by is grids else np.zeros(2)
         moves = tuple(
-            np.concatenate([(one - other)[None], move[1:]])
-            for one, other, move in zip(solved, kept, self.moves, strict=True)
+            np.concatenate([one[None], move[1:] + turn[:, None, None] * (one - told)])
+            for one, move, told in zip(off, self.moves, self._moved(where[0], where[2]), strict=True)
         )
-        return replace(self, at=(sigma_t, g), moves=moves)
+        return replace(self, where=where, moves=moves, by=grids)
+
+    def sloping_as(self, other: _Local) -> _Local:
+        """Return these orders with the derivatives of others."""
+        moves = tuple(
+            np.concatenate([mine[:1], theirs[1:]])
+            for mine, theirs in zip(self.moves, other.moves, strict=True)
+        )
+        return replace(self, moves=moves)
 
     def orders(self, sigma_t_per_mm: float, g: float) -> list[Array]:
         """Return the orders near the place, one array (K, n_x) for each wave number."""
-        d_t, d_g = sigma_t_per_mm - self.at[0], g - self.at[1]
         there = self.table.orders(sigma_t_per_mm, g)
-        return [
-            one + move[0] + d_t * move[1] + d_g * move[2]
-            for one, move in zip(there, self.moves, strict=True)
-        ]
+        moved = self._moved(sigma_t_per_mm, g)
+        return [one + move for one, move in zip(there, moved, strict=True)]
 
-    def bounds(self) -> Array:
-        """Return where the moved orders are believed, (2, 3)."""
-        sigma_t, g = self.at
-        room = np.array([[-1.0], [1.0]]) * np.array([ROOM[0] * sigma_t, 1.0, ROOM[1]])
+    def _moved(self, sigma_t_per_mm: float, g: float) -> list[Array]:
+        d_t, d_g = sigma_t_per_mm - self.where[0], g - self.where[2]
+        return [move[0] + d_t * move[1] + d_g * move[2] for move in self.moves]
+
+    @property
+    def room(self) -> Array:
+        """How far from the place the moved orders are believed, (3,)."""
+        return np.array([ROOM[0] * self.where[0], np.inf, ROOM[1]])
+
+    def bounds(self, share: float) -> Array:
+        """Return where the moved orders are believed, a share of the room they have, (2, 3)."""
         bounds = _bounds_of(self.table)
-        near = np.array([sigma_t, 0.5, g]) + room
+        near = self.where + np.array([[-1.0], [1.0]]) * share * self.room
         low, high = np.maximum(bounds[0], near[0]), np.minimum(bounds[1], near[1])
         return np.array([low, high])
+
+
+def _off(table: SlabTable, grids: _Grids, sigma_t: float, g: float) -> list[Array]:
+    """Return what solutions say beyond a table."""
+    solved, kept = grids.orders(table, sigma_t, g), table.orders(sigma_t, g)
+    return [one - other for one, other in zip(solved, kept, strict=True)]
 
 
 def _bounds_of(table: SlabTable) -> Array:
@@ -315,8 +360,8 @@ def minimise(
             np.clip(start, bounds[0] + 1e-6, bounds[1] - 1e-6),
             bounds=bounds,
             x_scale=[0.1 * bounds[0, 0], 0.1, 0.1],
-            xtol=1e-5,
-            ftol=1e-5,
+            xtol=1e-7,
+            ftol=1e-8,
         )
         inside = not np.any(found.active_mask)
         tried.append((2.0 * float(found.cost), np.asarray(found.x), inside))

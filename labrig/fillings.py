@@ -23,6 +23,7 @@ from labrig.series import session_name
 Array = NDArray[np.float64]
 
 NAMES = ("sigma_t_per_mm", "sigma_s_per_mm", "g")
+USUAL_STD_MM = 0.05  # of a height of which nobody said how well it is known
 DOUBTFUL = 0.01  # probability below which the layer's model is called into question
 APART = 1.02  # ratio of two heights that is a difference
 
@@ -51,28 +52,36 @@ class Filled:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fillings:
-    """Sessions of one liquid by rising height."""
+    """Sessions of one liquid by rising height.
+
+    Attributes
+    ----------
+    height_mm, height_std_mm : (n,), and how well each is known
+    """
 
     sessions: tuple[str, ...]
     height_mm: Array
-    height_std_mm: float
+    height_std_mm: Array
     found: tuple[Filled, ...]
     notes: tuple[str, ...]
 
 
-def compare_fillings(results: Sequence[Result], *, height_std_mm: float) -> Fillings:
+def compare_fillings(
+    results: Sequence[Result], *, height_std_mm: float | None = None
+) -> Fillings:
     """Compare what layers of one liquid at different heights are found to be.
 
     Parameters
     ----------
-    height_std_mm : how well the heights are known
+    height_std_mm : how well all heights are known; if left out what each session says, and where
+        one says nothing `USUAL_STD_MM`, which a note tells
 
     Raises
     ------
     AnalysisRefusedError
         If a session was not analysed as a layer, or all have one height.
     """
-    if not (math.isfinite(height_std_mm) and height_std_mm >= 0.0):
+    if height_std_mm is not None and not (math.isfinite(height_std_mm) and height_std_mm >= 0.0):
         msg = f"a height known to {height_std_mm} mm: give a number of millimetres, or 0."
         raise AnalysisRefusedError(msg)
     ordered = sorted(results, key=_height)
@@ -83,18 +92,31 @@ def compare_fillings(results: Sequence[Result], *, height_std_mm: float) -> Fill
             "heights or more, and capture each."
         )
         raise AnalysisRefusedError(msg)
-    found = tuple(_filled(k, ordered, height_std_mm) for k in range(len(NAMES)))
+    told = [_height_std(r) if height_std_mm is None else height_std_mm for r in ordered]
+    stds = np.array([USUAL_STD_MM if std is None else std for std in told])
+    silent = [session_name(r) for r, std in zip(ordered, told, strict=True) if std is None]
+    found = tuple(_filled(k, ordered, stds) for k in range(len(NAMES)))
     return Fillings(
         sessions=tuple(session_name(r) for r in ordered),
         height_mm=heights,
-        height_std_mm=height_std_mm,
+        height_std_mm=stds,
         found=found,
-        notes=tuple(
+        notes=_of_silent(silent)
+        + tuple(
             f"{one.name} differs between the heights (probability {one.p_same:.2g}): a height is "
             "wrong, the liquid changed, or the tank is no plain layer over a black floor."
             for one in found
             if one.p_same < DOUBTFUL
         ),
+    )
+
+
+def _of_silent(sessions: Sequence[str]) -> tuple[str, ...]:
+    if not sessions:
+        return ()
+    return (
+        f"{', '.join(sessions)}: nobody said how well the height is known; {USUAL_STD_MM:g} mm is "
+        "taken. Give tank.height_std_mm, or --height-std-mm.",
     )
 
 
@@ -130,12 +152,18 @@ def _height(result: Result) -> float:
     return float(quality["height_mm"])
 
 
-def _filled(k: int, results: Sequence[Result], height_std_mm: float) -> Filled:
+def _height_std(result: Result) -> float | None:
+    """Return how well a session's height is known, mm; None where it does not say."""
+    std = result.run["quality"]["slab"].get("height_std_mm")
+    return None if std is None else float(std)
+
+
+def _filled(k: int, results: Sequence[Result], height_std_mm: Array) -> Filled:
     name, n = NAMES[k], len(results)
     layer, std, plane = np.empty(n), np.empty(n), np.full(n, np.nan)
     for i, result in enumerate(results):
         told, quality = result.run[name], result.run["quality"]["slab"]
-        by_height = float(quality["by_height_per_mm"][k]) * height_std_mm
+        by_height = float(quality["by_height_per_mm"][k]) * height_std_mm[i]
         layer[i] = float(told["value"])
         std[i] = math.hypot(float(told["std"]), float(told["model_std"]), by_height)
         beside = result.run.get("alternatives", {}).get("flatland", {}).get(name)

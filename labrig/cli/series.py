@@ -27,8 +27,9 @@ def series(
         bool, typer.Option("--heights", help="One liquid filled to different heights.")
     ] = False,
     height_std_mm: Annotated[
-        float, typer.Option(help="How well the heights are known, mm.")
-    ] = 0.05,
+        float | None,
+        typer.Option(help="How well all heights are known, mm; else what each session says."),
+    ] = None,
     out: Annotated[Path, typer.Option("--out", help="Folder to write to.")] = Path("series"),
     as_json: AsJson = False,
 ) -> None:
@@ -109,7 +110,7 @@ def _say_fillings(found: Fillings, out: Path, as_json: bool) -> None:
             {
                 "sessions": list(found.sessions),
                 "height_mm": found.height_mm.tolist(),
-                "height_std_mm": found.height_std_mm,
+                "height_std_mm": found.height_std_mm.tolist(),
                 "parameters": {
                     one.name: {
                         "layer": one.layer.tolist(),
@@ -126,7 +127,8 @@ def _say_fillings(found: Fillings, out: Path, as_json: bool) -> None:
             }
         )
         return
-    shown = Table(title=f"one liquid at different heights, known to {found.height_std_mm:g} mm")
+    stds = ", ".join(f"{std:g}" for std in sorted(set(found.height_std_mm.tolist())))
+    shown = Table(title=f"one liquid at different heights, known to {stds} mm")
     shown.add_column("parameter")
     for height in found.height_mm:
         shown.add_column(f"layer of {height:g} mm", justify="right")

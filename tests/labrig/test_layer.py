@@ -125,6 +125,23 @@ def test_two_fillings_expose_the_plane(sessions, command, tmp_path):
     assert (tmp_path / "heights.png").is_file()
 
 
+def test_fillings_are_as_well_known_as_each_session_says(sessions, command, tmp_path):
+    said = command("series", *sessions, "--heights", "--out", tmp_path, "--json")
+    assert said.code == 0, said.err
+    own = json.loads(said.out)
+    # the session of 5 mm says 0.1 mm; that of 2 mm says nothing
+    assert own["height_std_mm"] == [0.05, 0.1]
+    assert "nobody said how well the height is known; 0.05 mm is taken" in own["notes"][0]
+    run = labrig.read_results(sessions[0]).run["sigma_s_per_mm"]
+    by_height = 0.1 * labrig.read_results(sessions[0]).run["quality"]["slab"]["by_height_per_mm"][1]
+    wanted = np.linalg.norm([run["std"], run["model_std"], by_height])
+    assert own["parameters"]["sigma_s_per_mm"]["layer_std"][1] == pytest.approx(wanted)
+    said = command(
+        "series", *sessions, "--heights", "--height-std-mm", "0", "--out", tmp_path, "--json"
+    )
+    assert json.loads(said.out)["height_std_mm"] == [0.0, 0.0]
+
+
 def test_fillings_of_one_height_and_series_of_nothing_are_refused(
     sessions, small_session, complaint, tmp_path
 ):
