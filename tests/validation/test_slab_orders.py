@@ -18,54 +18,66 @@ from analysis.transport.slab_tolerance import solve_to
 STRIPES = 2.0 * math.pi / 1.8
 MEDIA = [  # sigma_t, albedo, g, height, index, error that sums of orders may have
     pytest.param((0.12, 0.8, 0.0, 5.0, 1.0, 0.003), id="g0"),
+    pytest.param((0.12, 0.8, 0.0, 2.0, 1.33, 0.003), id="g0-thin"),
     pytest.param((0.2051, 0.5, 0.4, 5.0, 1.33, 0.003), id="g0.4"),
     pytest.param((0.35, 0.95, 0.9, 5.0, 1.33, 0.006), id="g0.9"),
 ]
-N_BINS = 12
+N_BINS, N_SAMPLES = 12, 10
 
 
 @pytest.mark.parametrize("case", MEDIA)
 def test_orders_are_the_monte_carlo(case):
-    """8 s of processor time for all: paths enough to see the 0.3 % of a sum."""
+    """12 s of processor time for all: paths enough to see the 0.3 % of a sum.
+
+    A sample of sixteen batches knows its error to 18 % only, and its twelve bins are of the same
+    paths: the pulls of one are 0.5 to 1.6 rms by chance. Those of ten tell whether errors are true.
+    """
     sigma_t, albedo, g, height_mm, index, of_sum = case
     slab = Slab(depth_mm=30.0, height_mm=height_mm, surface_index=index)
     medium = Medium(sigma_t_per_mm=sigma_t, sigma_s_per_mm=albedo * sigma_t, g=g)
-    sample = simulate_slab(
-        medium,
-        slab,
-        n_bounces=6,
-        n_paths=800_000,
-        cell_mm=1.0,
-        seed=11,
-        wavenumber_per_mm=STRIPES,
-        harmonics=(1,),
-        n_threads=1,
-    )
+    samples = [
+        simulate_slab(
+            medium,
+            slab,
+            n_bounces=6,
+            n_paths=80_000,
+            cell_mm=1.0,
+            seed=11 + n,
+            wavenumber_per_mm=STRIPES,
+            harmonics=(1,),
+            n_threads=1,
+        )
+        for n in range(N_SAMPLES)
+    ]
     edges, x = np.arange(N_BINS + 1.0), np.linspace(0.0, N_BINS, 20 * N_BINS + 1)
-    near = (slice(None), 0, slice(0, N_BINS))
-    for q, seen, noise in (
-        (0.0, sample.light[near], sample.std_error[near]),
-        (STRIPES, sample.modulated[0].real[near], sample.modulated_std_error[0][near]),
-    ):
-        whole = Medium(sigma_t_per_mm=sigma_t, sigma_s_per_mm=sigma_t, g=g)
+    near = (..., 0, slice(0, N_BINS))
+    white = [(one.light[near], one.std_error[near]) for one in samples]
+    striped = [(one.modulated[0].real[near], one.modulated_std_error[0][near]) for one in samples]
+    whole = Medium(sigma_t_per_mm=sigma_t, sigma_s_per_mm=sigma_t, g=g)
+    pulls = []
+    for q, sampled in ((0.0, white), (STRIPES, striped)):
+        light, errors = (np.array(part) for part in zip(*sampled, strict=True))
         closed = albedo * second_order(x, whole, slab, wavenumber_per_mm=q)
-        pull = (seen[0] - binned(closed, x, sigma_t, edges)) / noise[0]
-        rms = float(np.sqrt(np.mean(pull**2)))
-        # measured 1.1 to 1.4; an error known to 18 % and 12 bins allow 0.5 to 1.6
-        assert 0.5 < rms < 1.6
+        pulls.append((light[:, 0] - binned(closed, x, sigma_t, edges)) / errors[:, 0])
+        seen, noise = light.mean(axis=0), np.sqrt((errors**2).mean(axis=0) / N_SAMPLES)
         field = solved(whole, slab, q=q, fineness=2.2)
         model = binned(field.camera, field.x_mm, sigma_t, edges)
         model *= albedo ** np.arange(6)[:, None]
         for k in range(3, 7) if q == 0.0 else ():
             ratio = seen[k - 2].sum() / model[k - 1].sum()
             error = np.linalg.norm(noise[k - 2]) / model[k - 1].sum()
+            print(g, height_mm, k, ratio - 1, error)
             # measured worst 0.6 %, of a noise of 0.1 to 0.4 %
             assert abs(ratio - 1.0) < 0.01 + 2.0 * error
         total, of_all = model[1:].sum(axis=0), seen.sum(axis=0)
         ratio = of_all.sum() / total.sum()
         error = np.linalg.norm(noise) / total.sum()
+        print(g, height_mm, q, 'sum', ratio - 1, error, np.sqrt(np.mean(pulls[-1]**2)))
         # measured worst 0.1 % of white light, and 0.4 of a noise of 0.4 under stripes
         assert abs(ratio - 1.0) < of_sum + 2.0 * error
+    rms = float(np.sqrt(np.mean(np.square(pulls))))
+    print(rms)
+    assert 0.9 < rms < 1.3
 
 
 @pytest.mark.parametrize(
