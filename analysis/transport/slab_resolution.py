@@ -40,8 +40,8 @@ def depths(sigma_t_per_mm: float, slab: Slab, *, fineness: float) -> Array:
     if n_x > MOST_DEPTHS:
         msg = (
             f"a layer {slab.depth_mm / slab.height_mm:.3g} times as deep as it is high, and "
-            f"{depth:.3g} mean free paths deep, takes {n_x:.3g} nodes in depth and {MOST_DEPTHS} at "
-            "most can be solved for: give less depth."
+            f"{depth:.3g} mean free paths deep, takes {n_x:.3g} nodes in depth; at most "
+            f"{MOST_DEPTHS} can be solved for: give less depth."
         )
         raise AnalysisError(msg)
     return graded_depths(slab.depth_mm, n_x, finest_mm=finest, coarsest_mm=coarsest)
