@@ -27,14 +27,14 @@ Orders = Callable[[float, float], list[Array]]
 Contrasts = Callable[[float, float, float], tuple[Array, Array]]
 
 TABLES: tuple[Choice, ...] = (  # range of g, of sigma_t over the decay, fineness, nodes
-    ((-0.4, 0.6), (0.9, 1.35), 0.45, (3, 4)),
-    ((0.5, 0.82), (0.9, 1.5), 0.45, (3, 4)),
-    ((0.75, 0.96), (1.0, 2.1), 0.5, (4, 4)),
+    ((-0.4, 0.6), (0.9, 1.35), 0.35, (3, 4)),
+    ((0.5, 0.82), (0.9, 1.5), 0.38, (3, 4)),
+    ((0.75, 0.96), (1.0, 2.1), 0.45, (4, 4)),
 )
-FINE, FINER = 1.1, 0.5  # of the last solutions: at g = 0, and how much more where g is one
-MEDIUM, MORE = 0.65, 0.4  # fineness at which derivatives are taken: likewise
+FINE, FINER = 1.0, 0.9  # of the last solutions: at g = 0, and how much more where g is one
+MEDIUM, MORE = 0.55, 0.45  # fineness at which derivatives are taken: likewise
 COARSE_TAIL = 1e-3
-APPROACHES, CORRECTIONS = 3, 12
+APPROACHES, CORRECTIONS = 3, 16
 AFRESH = 0.5  # of the room, after which derivatives are taken again for finer solutions
 LESS = 0.2  # of the room, once a step went uphill
 UPHILL = 1.0005  # of the least sum of squares: a correction that ends above it went too far
@@ -256,7 +256,9 @@ class _Local:
         turn = step / (step @ step) / scale if self.by is grids else np.zeros(2)
         moves = tuple(
             np.concatenate([one[None], move[1:] + turn[:, None, None] * (one - told)])
-            for one, move, told in zip(off, self.moves, self._moved(where[0], where[2]), strict=True)
+            for one, move, told in zip(
+                off, self.moves, self._moved(where[0], where[2]), strict=True
+            )
         )
         return replace(self, where=where, moves=moves, by=grids)
 

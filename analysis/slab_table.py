@@ -25,7 +25,7 @@ WHITE_ORDERS = 120
 TAIL = 2e-4  # share of the last order, at an albedo of one, from which on a ratio continues it
 FINEST = 1.6  # of the solutions a table is checked against
 ALBEDO, DEEPEST = 0.95, 5.0  # and the albedo and optical depth it is checked at
-VERSION = 1  # of the kept files; raise it when the solver changes its answer
+VERSION = 2  # of the kept files; raise it when the solver changes its answer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

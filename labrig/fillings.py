@@ -66,9 +66,7 @@ class Fillings:
     notes: tuple[str, ...]
 
 
-def compare_fillings(
-    results: Sequence[Result], *, height_std_mm: float | None = None
-) -> Fillings:
+def compare_fillings(results: Sequence[Result], *, height_std_mm: float | None = None) -> Fillings:
     """Compare what layers of one liquid at different heights are found to be.
 
     Parameters

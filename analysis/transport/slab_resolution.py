@@ -16,6 +16,7 @@ CROWDING = 1.25
 THIN, HIGH = 1e-9, 1e3  # optical depth and height that numbers still hold for
 MOST_DEPTHS = 4000
 LEVEL = 0.7  # of `SlabGrid`, under white light; under stripes no light gets far
+WHITE = 0.5  # more azimuths under white light
 
 
 def depths(sigma_t_per_mm: float, slab: Slab, *, fineness: float) -> Array:
@@ -62,7 +63,13 @@ def directions(
     n_forward = max(6, round(fineness * ahead))
     n_backward = max(4, round(fineness * (6.0 + 6.0 * g**4)))
     wave = phase * (0.15 + 0.15 * g**8)
-    n_phi = 2 * max(2, round(0.5 * fineness * (10.0 + 4.0 * g**2 + wave)))
+    level = LEVEL / (1.0 + (wavenumber_per_mm * slab.height_mm) ** 2)
+    # White light gets far in a narrow fan along the layer, which azimuths alone resolve.
+    around = (10.0 + 4.0 * g**2 + wave) * (1.0 + WHITE * level / LEVEL)
+    n_phi = 2 * max(2, round(0.5 * fineness * around))
+    # What is cut off beyond an odd degree adds up across the beam, where the camera looks: 0.4 % of
+    # the third order at g = 0.9 and degree 21, a tenth of that at 20 and 22.
+    degree = 2 * round(0.5 * min(n_forward, 10.0 + 14.0 * g**2))
     theta, weight = polar_angles(n_forward, n_backward, CROWDING)
     return SlabGrid(
         x_mm=x_mm,
@@ -70,7 +77,7 @@ def directions(
         theta_rad=theta,
         weight=weight,
         n_phi=n_phi,
-        degree=round(min(n_forward, 10.0 + 14.0 * g**2)),
+        degree=degree,
         n_second=max(6, round(min(fineness, 1.0) * angles_for(g))),
-        level=LEVEL / (1.0 + (wavenumber_per_mm * slab.height_mm) ** 2),
+        level=level,
     )

@@ -17,7 +17,8 @@ from labrig.folders import config_folder
 MEDIA = {  # sigma_t in 1/mm, albedo, g; width of the tank in mm, lit part, millions of paths
     "A": (0.2051, 0.5, 0.4, 75, (28.5, 46.5), 2),
     "B": (0.35, 0.85, 0.7, 40, (11, 29), 3),
-    "C": (0.35, 0.95, 0.9, 75, (28.5, 46.5), 12),
+    "C": (0.35, 0.95, 0.9, 40, (11, 29), 3),
+    "c": (0.35, 0.95, 0.9, 75, (28.5, 46.5), 12),  # C with less noise of paths, far from walls
     "D": (0.12, 0.8, 0.1, 75, (28.5, 46.5), 2),
 }
 DEPTH_MM, PIXEL_MM = 60, 0.1
