@@ -15,9 +15,9 @@ from analysis.medium import Beam, Medium, Tank
 from analysis.transport.ordinates import solve_on
 from analysis.transport.solve import TOLERANCES, Choice, Engine, choose, solve
 from labrig.errors import RunError
+from labrig.explaining_layer import choose_layer, layer_rate_s
 from labrig.models.scene import Scene
 from labrig.results import write_fields
-from labrig.scene.filled import refuse_layer
 from labrig.solving_layer import layer_bounces
 from labrig.steps.record_fields import bounce_fields
 
@@ -36,7 +36,10 @@ class Solved:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cost:
-    """What a tolerance would take: the first grid's time by a rate measured just now."""
+    """What a tolerance would take: the first grid's time by a rate measured just now.
+
+    That of a layer is of all its grids, by what a coarse solution says of them.
+    """
 
     choice: Choice
     seconds: float
@@ -61,7 +64,9 @@ def solve_scene(
         If no answer exists, or it would not fit in the memory at hand.
     """
     if scene.tank.height_mm is not None:
-        return solve_layer(scene, orders=orders, tolerance=tolerance, engine=engine)
+        return solve_layer(
+            scene, orders=orders, tolerance=tolerance, engine=engine, progress=progress
+        )
     medium, tank, beam = records(scene)
     _rate_s()  # loads the kernels, so that the time is that of the solver alone
     wall, cpu = time.perf_counter(), time.process_time()
@@ -83,16 +88,26 @@ def solve_scene(
     )
 
 
-def solve_layer(scene: Scene, *, orders: int | None, tolerance: float, engine: Engine) -> Solved:
+def solve_layer(
+    scene: Scene,
+    *,
+    orders: int | None,
+    tolerance: float,
+    engine: Engine,
+    progress: Callable[[int, int], None] | None = None,
+) -> Solved:
     """Return what the camera sees of every bounce of a layer.
 
     Raises
     ------
     PlanError
-        If another engine is asked for than the slab's own.
+        If the engine is one of the plane's.
     """
+    layer_rate_s()  # loads the kernels
     wall, cpu = time.perf_counter(), time.process_time()
-    field = layer_bounces(scene, orders=orders, tolerance=tolerance, engine=engine)
+    field = layer_bounces(
+        scene, orders=orders, tolerance=tolerance, engine=engine, progress=progress
+    )
     return Solved(
         field=field,
         seconds=time.perf_counter() - wall,
@@ -112,11 +127,13 @@ def explain(
     analysis.errors.AnalysisError
         If no answer exists.
     """
-    refuse_layer(scene, "an estimate of the cost")
-    medium, tank, beam = records(scene)
-    rate_s = _rate_s()
     asked = [tolerance * STEP, tolerance, tolerance / STEP]
     inside = [t for t in asked if t == tolerance or TOLERANCES[0] <= t <= TOLERANCES[1]]
+    if scene.tank.height_mm is not None:
+        told = choose_layer(scene, orders=orders, tolerances=inside, engine=engine)
+        return [Cost(choice=choice, seconds=seconds) for choice, seconds in told]
+    medium, tank, beam = records(scene)
+    rate_s = _rate_s()
     choices = [
         choose(medium, tank, beam, orders=orders, tolerance=t, engine=engine) for t in inside
     ]

@@ -60,7 +60,7 @@ class SampledField:
 
     def relative_noise(self) -> Array:
         """Return each order's rms of std_error / fluence in cells above 1 % of its maximum."""
-        return _relative_noise(self.fluence, self.std_error)
+        return relative_noise(self.fluence, self.std_error)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -155,7 +155,7 @@ def simulate(
         fluence, std_error = mean_and_error([batch.scores for batch in batches])
         if until_std_error is None or n_batch == most:
             break
-        excess = float(_relative_noise(fluence, std_error).max()) / until_std_error
+        excess = float(relative_noise(fluence, std_error).max()) / until_std_error
         if excess <= 1.0:
             break
         n_batch = min(most, math.ceil(n_batch * min(1.1 * excess**2, LARGEST_STEP)))
@@ -316,7 +316,7 @@ def mean_and_error(scores: list[Array]) -> tuple[Array, Array]:
     return mean, np.sqrt(squares / ((len(scores) - 1) * len(scores)))
 
 
-def _relative_noise(fluence: Array, std_error: Array) -> Array:
+def relative_noise(fluence: Array, std_error: Array) -> Array:
     """Return the rms of std_error / fluence in cells above 1 % of each order's maximum, (n,)."""
     bright = fluence > 1e-2 * fluence.max(axis=(1, 2), keepdims=True)
     ratio = np.divide(std_error, fluence, out=np.zeros_like(fluence), where=bright)

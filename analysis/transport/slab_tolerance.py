@@ -15,7 +15,8 @@ from analysis.transport.slab_resolution import depths, directions
 AT_ONE = 3e-3  # error of a bounce that fineness one leaves, about
 RATE = 2.0  # with what power of the fineness it falls
 COARSEST, FINEST = 0.85, 5.0
-FINER = 1.4  # steps of fineness
+FINER = 1.4  # first step of fineness
+LEAST_STEP, MOST_STEP, SURE = 1.2, 2.0, 1.05
 DEEPEST = 6.0  # optical depth down to which bounces are compared
 N_COMPARED = 200
 
@@ -38,6 +39,16 @@ class SettledSlab:
     error: Array
     fineness: float
     reached: bool
+
+    def fineness_for(self, tolerance: float, n_bounces: int) -> float:
+        """Return what fineness the error that was found asks for, for fewer bounces."""
+        share = float(self.error[:n_bounces].max()) / tolerance
+        return float(max(self.fineness * share ** (1.0 / RATE), first_fineness(tolerance)))
+
+
+def first_fineness(tolerance: float) -> float:
+    """Return the fineness that is tried first."""
+    return float(np.clip((AT_ONE / tolerance) ** (1.0 / RATE), COARSEST, FINEST))
 
 
 def solve_to(
@@ -68,16 +79,20 @@ def solve_to(
             medium, slab, grid, n_bounces=n_bounces, wavenumber_per_mm=wavenumber_per_mm
         )
 
-    fineness = float(np.clip((AT_ONE / tolerance) ** (1.0 / RATE), COARSEST, FINEST))
-    coarse = at(fineness / FINER)
+    fineness = first_fineness(tolerance)
+    before, coarse = fineness / FINER, at(fineness / FINER)
     while True:
         fine = at(fineness)
         half = _changed(at(0.5 * fineness), fine) / (2.0**RATE - 1.0)
-        error = np.maximum(_changed(coarse, fine), half)
+        step = _changed(coarse, fine) / max((fineness / before) ** RATE - 1.0, 1.0)
+        error = np.maximum(step, half)
         reached = bool(error.max() <= tolerance)
-        if reached or fineness * FINER > FINEST:
+        if reached or fineness * LEAST_STEP > FINEST:
             return SettledSlab(field=fine, error=error, fineness=fineness, reached=reached)
-        coarse, fineness = fine, fineness * FINER
+        # As far as the error that was found asks for, a little more, and no further than is sure.
+        wanted = SURE * float(error.max() / tolerance) ** (1.0 / RATE)
+        before, coarse = fineness, fine
+        fineness = min(fineness * float(np.clip(wanted, LEAST_STEP, MOST_STEP)), FINEST)
 
 
 def _changed(coarse: SlabField, fine: SlabField) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -114,11 +115,12 @@ def _say_costs(costs: list[Cost], tolerance: float, as_json: bool) -> None:
             choice.engine,
             f"{r.cells_y} x {r.cells_x}",
             str(r.n_theta),
-            f"{cost.seconds:.2g}" if choice.engine == "ordinates" else "—",
+            f"{cost.seconds:.2g}" if choice.engine in {"ordinates", "slab"} else "—",
             f"{choice.memory_bytes / 1e6:.3g} MB",
         )
     out_console.print(table)
-    say("Times are of the first grid, by a rate measured now; a measured error may refine it.")
+    of = "all grids, by a coarse solution and" if chosen.engine == "slab" else "the first grid, by"
+    say(f"Times are of {of} a rate measured now; a measured error may refine it.")
 
 
 def _cost(cost: Cost) -> dict[str, Any]:
@@ -130,6 +132,6 @@ def _cost(cost: Cost) -> dict[str, Any]:
         "orders": choice.orders,
         "cells": {"y": r.cells_y, "x": r.cells_x},
         "angles": r.n_theta,
-        "seconds": cost.seconds,
+        "seconds": cost.seconds if math.isfinite(cost.seconds) else None,
         "memory_bytes": choice.memory_bytes,
     }

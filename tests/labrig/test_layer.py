@@ -220,8 +220,40 @@ def test_the_rig_may_say_how_high_the_liquid_stands(complaint, small_rig, small_
 def test_what_computes_in_a_plane_refuses_a_layer(complaint, tmp_path):
     scene = tmp_path / "scene.yaml"
     scene.write_text(layered(5.0))
-    assert "leave tank.height_mm out" in complaint("solve", scene, "--explain")
-    assert "solver of its own" in complaint("solve", scene, "--engine", "ordinates")
+    for options in (("--engine", "ordinates"), ("--engine", "plane", "--explain")):
+        said = complaint("solve", scene, *options)
+        assert "choose auto or montecarlo, or leave tank.height_mm out" in said
+    said = complaint("solve", scene, "--engine", "montecarlo", "--tolerance", "1e-5", "--orders", 2)
+    assert "would need" in said
+
+
+def test_what_a_layer_costs_is_told_before_it_is_solved(command, tmp_path):
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(layered(5.0))
+    costs = json.loads(command("solve", scene, "--explain", "--json").out)
+    assert [cost["tolerance"] for cost in costs] == pytest.approx([1e-2, 1e-3, 1e-4])
+    assert all("polynomials over the height" in cost["reason"] for cost in costs)
+    for name in ("angles", "memory_bytes", "seconds"):
+        assert costs[0][name] < costs[1][name] < costs[2][name]
+    assert "Times are of all grids" in command("solve", scene, "--explain").out
+    paths = json.loads(command("solve", scene, "--explain", "--engine", "montecarlo", "--json").out)
+    assert paths[1]["seconds"] is None
+    assert paths[1]["orders"] == costs[1]["orders"]
+
+
+def test_the_monte_carlo_solves_a_layer_too(tmp_path):
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(layered(5.0))
+    told = labrig.load_scene(scene)
+    sampled = labrig.solve(told, engine="montecarlo", tolerance=0.1, orders=3).field
+    assert (sampled.engine, sampled.light_field) == ("montecarlo", None)
+    assert sampled.error_estimate.max() <= 0.1
+    solved = labrig.solve(told, tolerance=1e-2, orders=3).field
+    for one, other in zip(sampled.fluence, solved.fluence, strict=True):
+        middle = one[one.shape[0] // 2 - 8 : one.shape[0] // 2 + 8, :30].mean(axis=0)
+        row = other[other.shape[0] // 2, :31]
+        # PLACE
+        np.testing.assert_allclose(middle, 0.5 * (row[1:] + row[:-1]), rtol=0.05)
 
 
 def test_a_layer_is_solved_to_a_tolerance(command, tmp_path):

@@ -22,7 +22,7 @@ MEDIA = [  # sigma_t, albedo, g, height, index, error that sums of orders may ha
     pytest.param((0.2051, 0.5, 0.4, 5.0, 1.33, 0.003), id="g0.4"),
     pytest.param((0.35, 0.95, 0.9, 5.0, 1.33, 0.006), id="g0.9"),
 ]
-N_BINS, N_SAMPLES = 12, 10
+N_BINS, N_SAMPLES = 12, 5
 
 
 @pytest.mark.parametrize("case", MEDIA)
@@ -30,7 +30,8 @@ def test_orders_are_the_monte_carlo(case):
     """12 s of processor time for all: paths enough to see the 0.3 % of a sum.
 
     A sample of sixteen batches knows its error to 18 % only, and its twelve bins are of the same
-    paths: the pulls of one are 0.5 to 1.6 rms by chance. Those of ten tell whether errors are true.
+    paths: the pulls of one are 0.5 to 1.6 rms by chance. Those of five tell whether errors are
+    true; 1.07 is what sixteen batches lead to.
     """
     sigma_t, albedo, g, height_mm, index, of_sum = case
     slab = Slab(depth_mm=30.0, height_mm=height_mm, surface_index=index)
@@ -40,7 +41,7 @@ def test_orders_are_the_monte_carlo(case):
             medium,
             slab,
             n_bounces=6,
-            n_paths=80_000,
+            n_paths=160_000,
             cell_mm=1.0,
             seed=11 + n,
             wavenumber_per_mm=STRIPES,
@@ -66,17 +67,16 @@ def test_orders_are_the_monte_carlo(case):
         for k in range(3, 7) if q == 0.0 else ():
             ratio = seen[k - 2].sum() / model[k - 1].sum()
             error = np.linalg.norm(noise[k - 2]) / model[k - 1].sum()
-            print(g, height_mm, k, ratio - 1, error)
-            # measured worst 0.6 %, of a noise of 0.1 to 0.4 %
+            # measured worst 0.55 %, of a noise of 0.1 to 0.4 %
             assert abs(ratio - 1.0) < 0.01 + 2.0 * error
         total, of_all = model[1:].sum(axis=0), seen.sum(axis=0)
         ratio = of_all.sum() / total.sum()
         error = np.linalg.norm(noise) / total.sum()
-        print(g, height_mm, q, 'sum', ratio - 1, error, np.sqrt(np.mean(pulls[-1]**2)))
-        # measured worst 0.1 % of white light, and 0.4 of a noise of 0.4 under stripes
+        # measured worst 0.07 % of white light, 0.19 % of a noise of 0.3 under stripes; at g = 0.9
+        # 0.15 % and 0.37 %
         assert abs(ratio - 1.0) < of_sum + 2.0 * error
     rms = float(np.sqrt(np.mean(np.square(pulls))))
-    print(rms)
+    # measured 1.19, 1.16, 1.09, 1.29
     assert 0.9 < rms < 1.3
 
 
