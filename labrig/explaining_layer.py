@@ -16,7 +16,7 @@ from analysis.transport.slab_resolution import depths, directions
 from analysis.transport.slab_tolerance import FINER, FINEST, SettledSlab, first_fineness
 from analysis.transport.solve import Choice
 from labrig.models.scene import Scene
-from labrig.solving_layer import MOST_ORDERS, coarsely, enough, layer_of, picture_grid
+from labrig.solving_layer import coarsely, enough, layer_of, picture_grid
 
 FIELD_BYTES = 24.0  # of each value of the light field: what is kept, and the work on one bounce
 WAVE_BYTES = 16.0  # of each value of a wave's light by bearing
@@ -28,8 +28,9 @@ def choose_layer(
 ) -> list[tuple[Choice, float]]:
     """Return what each tolerance would take, and its processor time, s.
 
-    The time is NaN where only a run can tell. A coarse solution tells how many bounces matter and how finely each tolerance is to be solved.
-    The resolution holds the cells of the picture and the directions of white light's transport.
+    The time is NaN where only a run can tell. A coarse solution tells how many bounces matter and
+    how finely each tolerance is to be solved. The resolution holds the cells of the picture and
+    the directions of white light's transport.
 
     Raises
     ------
@@ -37,7 +38,7 @@ def choose_layer(
         If the engine is one of the plane's.
     """
     slab = layer_of(scene, engine)
-    coarse = coarsely(scene, slab, MOST_ORDERS if orders is None else max(orders, 2))
+    coarse = coarsely(scene, slab, orders)
     wanted = enough(coarse, scene) if orders is None else max(orders, 2)
     if engine == "montecarlo":
         return [_by_paths(scene, wanted, one) for one in tolerances]

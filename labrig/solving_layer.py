@@ -98,12 +98,20 @@ def orders_of(scene: Scene, slab: Slab, orders: int | None) -> int:
     """Return as many orders as are asked for, or as hold all but the scene's tail of the light."""
     if orders is not None:
         return max(orders, 2)
-    return enough(coarsely(scene, slab, MOST_ORDERS), scene)
+    return enough(coarsely(scene, slab, None), scene)
 
 
-def coarsely(scene: Scene, slab: Slab, orders: int) -> SettledSlab:
-    """Return a quick solution, which tells how many bounces matter and what they will cost."""
-    return solve_to(scene.medium.record(), slab, tolerance=COARSE, n_bounces=orders)
+def coarsely(scene: Scene, slab: Slab, orders: int | None) -> SettledSlab:
+    """Return a quick solution, which tells how many bounces matter and what they will cost.
+
+    In a layer a bounce holds less light than the albedo leaves of the one before.
+    """
+    medium = scene.medium.record()
+    if orders is None:
+        albedo = min(medium.albedo, math.exp(-1.0 / MOST_ORDERS))
+        orders = math.ceil(math.log(scene.tail * (1.0 - albedo)) / math.log(max(albedo, 0.01)))
+        orders = min(max(orders, LEAST_ORDERS), MOST_ORDERS)
+    return solve_to(medium, slab, tolerance=COARSE, n_bounces=max(orders, 2))
 
 
 def enough(settled: SettledSlab, scene: Scene) -> int:

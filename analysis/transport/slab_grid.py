@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from analysis.errors import AnalysisError
 from analysis.phase_function import Array
@@ -125,8 +126,8 @@ def polar_angles(n_forward: int, n_backward: int, crowding: float) -> tuple[Arra
 def bearings_of(grid: SlabGrid, n_bearings: int) -> Array:
     """Return what each direction with mu_y > 0 gives to each bearing, per radian of bearing.
 
-    Radiance is taken to be linear between the polar angles and between the azimuths; no light is
-    made or lost.
+    Radiance is taken to be cubic between the polar angles ahead and between those behind, and
+    linear between the azimuths; no light is made or lost.
 
     Returns
     -------
@@ -137,7 +138,7 @@ def bearings_of(grid: SlabGrid, n_bearings: int) -> Array:
         return np.zeros(shape)
     theta = np.pi * (np.arange(FINE_BEARINGS) + 0.5) / FINE_BEARINGS
     phi = np.pi * (np.arange(FINE_BEARINGS // 2) + 0.5) / (FINE_BEARINGS // 2)
-    by_theta = np.array([np.interp(theta, grid.theta_rad, row) for row in np.eye(shape[2])])
+    by_theta = _between(grid.theta_rad, theta)
     by_phi = np.array([np.interp(phi, grid.phi_rad, row) for row in np.eye(shape[1])])
     at = np.arctan2(np.sin(theta) * np.sin(phi)[:, None], np.cos(theta))
     place = np.floor(at / (2.0 * np.pi) * n_bearings).astype(np.int64)
@@ -153,6 +154,23 @@ def bearings_of(grid: SlabGrid, n_bearings: int) -> Array:
     found[np.floor(own[alone]).astype(np.int64), alone] = 1.0
     found *= 0.5 * whole / found.sum(axis=0)
     return found * n_bearings / (2.0 * np.pi)
+
+
+def _between(theta_rad: Array, at_rad: Array) -> Array:
+    """Return what each polar angle's radiance is worth at others, (n_theta, n).
+
+    Linear pieces would give the last angles before and behind the face's own, which are Gaussian,
+    a fifth too much room.
+    """
+    found = np.zeros((theta_rad.size, at_rad.size))
+    for of, there in zip(
+        (theta_rad < 0.5 * np.pi, theta_rad > 0.5 * np.pi),
+        (at_rad < 0.5 * np.pi, at_rad >= 0.5 * np.pi),
+        strict=True,
+    ):
+        spline = CubicSpline(theta_rad[of], np.eye(int(of.sum())))
+        found[np.ix_(of, there)] = spline(at_rad[there]).T
+    return found
 
 
 def graded_depths(depth_mm: float, n_x: int, *, finest_mm: float, coarsest_mm: float) -> Array:

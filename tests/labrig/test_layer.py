@@ -230,7 +230,8 @@ def test_what_computes_in_a_plane_refuses_a_layer(complaint, tmp_path):
 def test_what_a_layer_costs_is_told_before_it_is_solved(command, tmp_path):
     scene = tmp_path / "scene.yaml"
     scene.write_text(layered(5.0))
-    costs = json.loads(command("solve", scene, "--explain", "--json").out)
+    asked = ("solve", scene, "--orders", 5, "--explain")
+    costs = json.loads(command(*asked, "--json").out)
     assert [cost["tolerance"] for cost in costs] == pytest.approx([1e-2, 1e-3, 1e-4])
     assert all("polynomials over the height" in cost["reason"] for cost in costs)
     for name in ("angles", "memory_bytes", "seconds"):
@@ -238,7 +239,8 @@ def test_what_a_layer_costs_is_told_before_it_is_solved(command, tmp_path):
     assert "Times are of all grids" in command("solve", scene, "--explain").out
     paths = json.loads(command("solve", scene, "--explain", "--engine", "montecarlo", "--json").out)
     assert paths[1]["seconds"] is None
-    assert paths[1]["orders"] == costs[1]["orders"]
+    # all but the tail of the light, at an albedo of one half
+    assert 5 <= paths[1]["orders"] <= 12
 
 
 def test_the_monte_carlo_solves_a_layer_too(tmp_path):
