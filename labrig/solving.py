@@ -19,7 +19,7 @@ from labrig.explaining_layer import choose_layer, layer_rate_s
 from labrig.models.scene import Scene
 from labrig.results import write_fields
 from labrig.solving_layer import layer_bounces
-from labrig.steps.record_fields import bounce_fields
+from labrig.steps.bounce_fields import bounce_fields
 
 STEP = 10.0  # between the tolerances that an explanation compares
 MEMINFO = Path("/proc/meminfo")
