@@ -88,7 +88,7 @@ def test_a_stated_error_holds_from_isotropic_to_forward(sigma_t, g, tolerances):
     medium = Medium(sigma_t_per_mm=sigma_t, sigma_s_per_mm=sigma_t, g=g)
     slab = Slab(depth_mm=30.0, height_mm=5.0, surface_index=1.33)
     found = [solve_to(medium, slab, tolerance=t, n_bounces=5) for t in tolerances]
-    finest = solve_to(medium, slab, tolerance=0.2 * tolerances[-1], n_bounces=5)
+    finest = solve_to(medium, slab, tolerance=0.35 * tolerances[-1], n_bounces=5)
     x = np.linspace(0.0, 15.0, 100)
     for one, tolerance in zip(found, tolerances, strict=True):
         assert one.reached
@@ -98,5 +98,5 @@ def test_a_stated_error_holds_from_isotropic_to_forward(sigma_t, g, tolerances):
             for f in (one, finest)
         )
         off = np.sqrt(((mine - true) ** 2).mean(axis=1) / (true**2).mean(axis=1))
-        # measured 0.9 and 0.7 of what is stated at most, and 1.64 at g = 0.9
-        assert (off <= 2.0 * one.error + 1e-4).all()
+        # measured at most 1.07 of what is stated, at g = 0.9 a third
+        assert (off <= 1.5 * (one.error + 1e-4)).all()
