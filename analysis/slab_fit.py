@@ -14,8 +14,9 @@ import numpy as np
 from analysis.errors import AnalysisError
 from analysis.medium import Slab
 from analysis.phase_function import Array
+from analysis.slab_gain import gain
 from analysis.slab_profiles import Problem, SlabProfiles
-from analysis.slab_search import Contrasts, Found, gain, search, search_table
+from analysis.slab_search import Contrasts, Found, search, search_table
 from analysis.slab_table import SlabTable, camera_orders
 from analysis.transport.slab_resolution import directions
 
