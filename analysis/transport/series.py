@@ -36,7 +36,7 @@ def orders_needed(medium: Medium, tank: Tank, beam: Beam, tolerance: float) -> i
         return 1
     if abs(medium.g) > ALMOST_LIMIT:
         return _orders_of_peaked(medium, tank, beam, tolerance)
-    grid = guess(medium, tank, beam, 0.1).coarser(tank, 2, medium.g)
+    grid = guess(medium, tank, beam, 0.1).scaled(0.5, 32).grid(tank)
     remaining = _energy(grid, medium, beam)
     total, previous, ratio = 0.0, math.nan, math.nan
     for k, energy in enumerate(remaining, start=1):
