@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 from scipy.special import ellipe
 
 from analysis.medium import Medium, Phase
@@ -105,6 +104,8 @@ def alike(medium: Medium, phase: Phase) -> Medium | None:
     def excess(g: float) -> float:
         other = fourier_coefficients(g, phase, 2)
         return float(other[1] / other[0] - f1 / f0)
+
+    from scipy.optimize import brentq  # noqa: PLC0415 - a third of a second, for this alone
 
     g = float(brentq(excess, -G_SEARCHED, G_SEARCHED))
     sigma_s = medium.sigma_s_per_mm * float(f0) / power_removed(g, phase)

@@ -19,7 +19,7 @@ from labrig.models.scene import Scene
 from labrig.results import write_fields
 from labrig.scene.filled import refuse_layer
 from labrig.solving_layer import layer_bounces
-from labrig.steps.record_fields import bounce_fields
+from labrig.steps.bounce_fields import bounce_fields
 
 STEP = 10.0  # between the tolerances that an explanation compares
 MEMINFO = Path("/proc/meminfo")

@@ -18,6 +18,7 @@ from analysis.transport.peaked import line_energies
 MAX_ORDERS = 400
 SERIES_ORDERS = 2000
 SETTLED = 1e-4  # relative change of the ratio of successive orders
+COUNTING_RADIANCES = 3e8  # of the grid that orders are counted on
 ALMOST_LIMIT = 0.999  # abs(g) from which on light keeps to the beam's line well enough to count
 
 
@@ -30,13 +31,21 @@ def orders_needed(medium: Medium, tank: Tank, beam: Beam, tolerance: float) -> i
     Raises
     ------
     AnalysisError
-        If that ratio is one or more: the series diverges. Or if too many orders are needed.
+        If that ratio is one or more: the series diverges. Or if too many orders are needed, or so
+        coarse a grid is too large already.
     """
     if medium.sigma_s_per_mm == 0.0:
         return 1
     if abs(medium.g) > ALMOST_LIMIT:
         return _orders_of_peaked(medium, tank, beam, tolerance)
-    grid = guess(medium, tank, beam, 0.1).scaled(0.5, 32).grid(tank)
+    first = guess(medium, tank, beam, 0.1)
+    grid = first.scaled(0.5, first.least_theta).grid(tank)
+    if grid.n_x * grid.n_y * grid.n_theta > COUNTING_RADIANCES:
+        msg = (
+            f"the tank is so large beside a mean free path that its bounces would be counted on "
+            f"{grid.n_y - 1} x {grid.n_x - 1} cells: ask for a number of orders."
+        )
+        raise AnalysisError(msg)
     remaining = _energy(grid, medium, beam)
     total, previous, ratio = 0.0, math.nan, math.nan
     for k, energy in enumerate(remaining, start=1):

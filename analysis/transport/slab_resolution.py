@@ -6,21 +6,44 @@ import math
 
 import numpy as np
 
+from analysis.errors import AnalysisError
 from analysis.medium import Slab
 from analysis.phase_function import Array
 from analysis.transport.slab_grid import SlabGrid, graded_depths, polar_angles
 from analysis.transport.slab_second import angles_for
 
 CROWDING = 1.25
+THIN, HIGH = 1e-9, 1e3  # optical depth and height that numbers still hold for
+MOST_DEPTHS = 4000
 LEVEL = 0.7  # of `SlabGrid`, under white light; under stripes no light gets far
 
 
 def depths(sigma_t_per_mm: float, slab: Slab, *, fineness: float) -> Array:
-    """Return nodes in depth from face to far wall, (n_x,), finer where the face is near."""
+    """Return nodes in depth from face to far wall, (n_x,), finer where the face is near.
+
+    Raises
+    ------
+    AnalysisError
+        If the liquid is too clear, too high or too long for any answer.
+    """
+    depth, height = (sigma_t_per_mm * size for size in (slab.depth_mm, slab.height_mm))
+    if depth < THIN or height > HIGH:
+        msg = (
+            f"a layer of {depth:.3g} mean free paths in depth and {height:.3g} in height: at least "
+            f"{THIN:g} and at most {HIGH:g} can be solved for; leave the height out for a plane."
+        )
+        raise AnalysisError(msg)
     finest = min(0.008 * slab.height_mm, 0.02 / sigma_t_per_mm)
     coarsest = min(0.5 / sigma_t_per_mm, slab.height_mm)
     wanted = np.log1p(slab.depth_mm / finest) + slab.depth_mm / coarsest
     n_x = max(24, round(1.8 * math.sqrt(fineness) * wanted))
+    if n_x > MOST_DEPTHS:
+        msg = (
+            f"a layer {slab.depth_mm / slab.height_mm:.3g} times as deep as it is high, and "
+            f"{depth:.3g} mean free paths deep, takes {n_x:.3g} nodes in depth; at most "
+            f"{MOST_DEPTHS} can be solved for: give less depth."
+        )
+        raise AnalysisError(msg)
     return graded_depths(slab.depth_mm, n_x, finest_mm=finest, coarsest_mm=coarsest)
 
 

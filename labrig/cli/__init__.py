@@ -10,6 +10,7 @@ import typer
 from analysis.errors import AnalysisError
 from calibration.errors import CalibrationError
 from drivers.errors import DriverError
+from labrig.cli.commands import PLACES, app_of
 from labrig.errors import LabrigError, RunError, SessionError
 from labrig.exits import EXIT_BAD_INPUT, EXIT_DAMAGED, EXIT_DEVICE, EXIT_INTERRUPTED
 
@@ -24,7 +25,9 @@ def main() -> None:
 def run(arguments: list[str]) -> int:
     """Run one command and return its exit code."""
     try:
-        command = typer.main.get_command(_app(arguments))
+        # A window must not wait for the solvers, nor any command for the others.
+        called = arguments[:1] if arguments and arguments[0] in PLACES else PLACES
+        command = typer.main.get_command(app_of(called))
         code = command.main(arguments or ["--help"], prog_name="labrig", standalone_mode=False)
     except typer.TyperException as error:
         return _fail(error.format_message(), EXIT_BAD_INPUT)
@@ -42,15 +45,6 @@ def run(arguments: list[str]) -> int:
     if code == EXIT_INTERRUPTED:  # typer returns it where it was first to hear Ctrl-C
         return _fail("interrupted; what was saved stays saved.", EXIT_INTERRUPTED)
     return code if isinstance(code, int) else 0
-
-
-def _app(arguments: list[str]) -> typer.Typer:
-    """Return all commands; for the window that one alone, which must not wait for the solvers."""
-    if arguments[:1] == ["gui"]:
-        from labrig.cli.gui import app  # noqa: PLC0415
-    else:
-        from labrig.cli.commands import app  # noqa: PLC0415
-    return app
 
 
 def _fail(message: str, code: int) -> int:

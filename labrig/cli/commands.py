@@ -1,48 +1,49 @@
-"""All commands, each one call of the Python API."""
+"""All commands by name, each one call of the Python API; those that are called are imported."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from importlib import import_module
+
 import typer
 
-from labrig.cli.accuracy import app as accuracy
-from labrig.cli.analyse import analyse, report
-from labrig.cli.calibrate import app as calibrate
-from labrig.cli.capture import capture, import_, ls, resume, verify
-from labrig.cli.check import check
-from labrig.cli.demo import demo
-from labrig.cli.devices import devices
-from labrig.cli.doctor import doctor
-from labrig.cli.gui import gui
-from labrig.cli.schema import schema
-from labrig.cli.series import series
-from labrig.cli.simulate import simulate_
-from labrig.cli.solve import solve
+PLACES = {
+    "demo": "demo.demo",
+    "check": "check.check",
+    "capture": "capture.capture",
+    "resume": "capture.resume",
+    "verify": "capture.verify",
+    "ls": "capture.ls",
+    "analyse": "analyse.analyse",
+    "report": "analyse.report",
+    "series": "series.series",
+    "solve": "solve.solve",
+    "devices": "devices.devices",
+    "doctor": "doctor.doctor",
+    "schema": "schema.schema",
+    "gui": "gui.gui",
+    "import": "capture.import_",
+    "simulate": "simulate.simulate_",
+    "calibrate": "calibrate.app",
+    "accuracy": "accuracy.app",
+}
 
-app = typer.Typer(
-    name="labrig",
-    help="Measure how light travels in scattering media.",
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
-for command in (
-    demo,
-    check,
-    capture,
-    resume,
-    verify,
-    ls,
-    analyse,
-    report,
-    series,
-    solve,
-    devices,
-    doctor,
-    schema,
-    gui,
-):
-    app.command()(command)
-app.command(name="import")(import_)
-app.command(name="simulate")(simulate_)
-app.add_typer(calibrate, name="calibrate")
-app.add_typer(accuracy, name="accuracy")
+
+def app_of(names: Iterable[str]) -> typer.Typer:
+    """Return the command line with these of its commands."""
+    app = typer.Typer(
+        name="labrig", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False
+    )
+    app.callback()(_labrig)
+    for name in names:
+        module, attribute = PLACES[name].split(".")
+        command = getattr(import_module(f"labrig.cli.{module}"), attribute)
+        if isinstance(command, typer.Typer):
+            app.add_typer(command, name=name)
+        else:
+            app.command(name=name)(command)
+    return app
+
+
+def _labrig() -> None:
+    """Measure how light travels in scattering media."""

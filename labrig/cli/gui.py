@@ -7,17 +7,7 @@ from typing import Annotated
 
 import typer
 
-app = typer.Typer(
-    name="labrig", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False
-)
 
-
-@app.callback()
-def _labrig() -> None:
-    """Measure how light travels in scattering media."""
-
-
-@app.command()
 def gui(
     rig: Annotated[
         Path | None, typer.Option(help="Rig file; else the one used last, or a simulated rig.")

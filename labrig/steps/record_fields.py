@@ -6,12 +6,11 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.attenuation import Attenuation
-from analysis.light_field import BounceField
 from analysis.profile import DepthProfile
 from labrig.results import Field
+from labrig.steps.bounce_fields import axis, bounce_fields
 from labrig.steps.bounces import Explained
 from labrig.steps.decay import Decay
 from labrig.steps.joint import Joint
@@ -60,8 +59,8 @@ def _pictures(outcome: Outcome, dims: tuple[str, str], *, suffix: str) -> dict[s
     unit = "counts/s"
     rows, cols = best.single.shape
     fields = {
-        dims[0]: _axis(dims[0], (np.arange(rows) + 0.5) * pictures.pixel, pictures.unit),
-        dims[1]: _axis(dims[1], (np.arange(cols) + 0.5) * pictures.pixel, pictures.unit),
+        dims[0]: axis(dims[0], (np.arange(rows) + 0.5) * pictures.pixel, pictures.unit),
+        dims[1]: axis(dims[1], (np.arange(cols) + 0.5) * pictures.pixel, pictures.unit),
     }
     wanted = {
         "captured": (pictures.captured, "first stripe picture, dark level subtracted"),
@@ -99,7 +98,7 @@ def _profiles(decay: Decay, unit: str) -> dict[str, Field]:
             continue
         depth = f"{name}_depth"
         nothing = np.full(profile.value.size, np.nan)
-        fields[depth] = _axis(depth, profile.depth_mm, unit)
+        fields[depth] = axis(depth, profile.depth_mm, unit)
         for what, values in (
             ("profile", profile.value),
             ("profile_std", profile.std),
@@ -125,9 +124,9 @@ def _waves(joint: Joint | None, unit: str) -> dict[str, Field]:
     striped, waved = ("period", "wave_depth"), ("wavenumber", "wave_depth")
     light = f"counts/s {unit}"
     found = {
-        "wave_depth": _axis("wave_depth", seen.x_mm, unit),
-        "period": _axis("period", periods, unit),
-        "wavenumber": _axis("wavenumber", seen.white.wavenumber_per_mm, f"1/{unit}"),
+        "wave_depth": axis("wave_depth", seen.x_mm, unit),
+        "period": axis("period", periods, unit),
+        "wavenumber": axis("wavenumber", seen.white.wavenumber_per_mm, f"1/{unit}"),
     }
     for name, dims, values, of, meaning in (
         ("stripe_wave", striped, [s.amplitude for s in seen.stripes], light, "stripes' amplitude"),
@@ -140,7 +139,7 @@ def _waves(joint: Joint | None, unit: str) -> dict[str, Field]:
     ):
         found[name] = Field(dims=dims, values=np.asarray(values), unit=of, meaning=meaning)
     if fit.profile_g.size:
-        found["profile_g"] = _axis("profile_g", fit.profile_g[:, 0], "1")
+        found["profile_g"] = axis("profile_g", fit.profile_g[:, 0], "1")
         found["profile_chi2"] = Field(
             dims=("profile_g",),
             values=fit.profile_g[:, 1],
@@ -186,40 +185,3 @@ def _remainder(left: Remainder | None) -> dict[str, Field]:
         name: Field(dims=("y", "x"), values=values, unit="counts/s", meaning=meaning)
         for name, (values, meaning) in told.items()
     }
-
-
-def bounce_fields(field: BounceField, unit: str) -> dict[str, Field]:
-    """Return the bounces and their coordinates as named fields; ``unit`` is that of lengths."""
-    grid, n = field.grid, field.n_bounces
-    fields = {
-        "x": _axis("x", grid.x_mm, unit),
-        "y": _axis("y", grid.y_mm, unit),
-        "bounce": _axis("bounce", np.arange(1, n + 1), "1"),
-        "fluence": Field(
-            dims=("bounce", "y", "x"),
-            values=field.fluence,
-            unit="1",
-            meaning="phi_k, one where the beam enters; times scale_c: the picture of bounce k",
-        ),
-    }
-    if field.error_estimate is not None:
-        fields["error_estimate"] = Field(
-            dims=("bounce",),
-            values=field.error_estimate,
-            unit="1",
-            meaning="relative rms error of each bounce's fluence",
-        )
-    if field.light_field is not None and n > 1:
-        fields["theta"] = _axis("theta", grid.theta_rad, "rad")
-        fields["scattered_bounce"] = _axis("scattered_bounce", np.arange(2, n + 1), "1")
-        fields["light_field"] = Field(
-            dims=("scattered_bounce", "y", "x", "theta"),
-            values=field.light_field.astype(np.float32, copy=False),
-            unit="1/rad",
-            meaning="L_k, radiance per radian of bounces 2 .. K",
-        )
-    return fields
-
-
-def _axis(name: str, values: NDArray[Any], unit: str) -> Field:
-    return Field(dims=(name,), values=values, unit=unit, meaning=f"coordinate {name}")

@@ -169,3 +169,9 @@ def test_a_peak_that_no_memory_resolves_is_refused_with_the_figure():
     with pytest.raises(AnalysisError, match=r"g = 0\.9999.* GB are needed and 4 GB at") as caught:
         solve(medium, TANK, BEAM, orders=5, tolerance=1e-3, memory_bytes=4e9)
     assert "\n" not in str(caught.value)
+
+
+def test_a_tank_too_large_to_count_its_bounces_is_refused_with_the_figure():
+    medium = Medium(sigma_t_per_mm=1e6, sigma_s_per_mm=0.1, g=0.4)
+    with pytest.raises(AnalysisError, match=r"counted on \d+ x \d+ cells: ask for a number of"):
+        solve(medium, TANK, BEAM, tolerance=1e-3)

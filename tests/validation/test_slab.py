@@ -180,6 +180,20 @@ def test_an_impossible_slab_is_refused_in_one_line(height, index, word):
     assert "\n" not in str(raised.value)
 
 
+@pytest.mark.parametrize(
+    ("sigma_t", "height", "word"),
+    [
+        (0.0, 5.0, "0 mean free paths in depth"),
+        (0.2, 1e300, "2e[+]299 in height"),
+        (0.2, 1e-300, "1e[+]301 times as deep"),
+        (1e3, 0.5, "1e[+]04 mean free paths deep"),
+    ],
+)
+def test_a_layer_beyond_all_numbers_is_refused(sigma_t, height, word):
+    with pytest.raises(AnalysisError, match=word):
+        depths(sigma_t, Slab(depth_mm=10.0, height_mm=height), fineness=1.0)
+
+
 def test_what_cannot_be_solved_or_sampled_is_refused():
     grid = directions(
         0.0, SLAB, depths(1.0, SLAB, fineness=0.5), wavenumber_per_mm=0.0, fineness=0.5

@@ -1,4 +1,4 @@
-"""A serial wire between a box and a driver that can be cut, garbled, delayed and slowed."""
+"""A serial wire between a box and a driver that can be cut, garbled, held up and slowed."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import os
 import select
 import termios
 import threading
-import time
 import tty
 from collections.abc import Callable
 from contextlib import suppress
@@ -17,13 +16,14 @@ Spoil = Callable[[bytes], bytes]
 class Wire:
     """Carries bytes between the pty of a box and a pty of its own, through a fault.
 
-    ``spoil`` is applied to what the box sends, ``delay_s`` waits before each piece of it, and
-    ``baud`` is the one speed at which bytes survive: at another they arrive as noise.
+    ``spoil`` is applied to what the box sends, which waits while ``flows`` is not set, and ``baud``
+    is the one speed at which bytes survive: at another they arrive as noise.
     """
 
     def __init__(self, box_port: str, *, baud: int = 115200) -> None:
         self.spoil: Spoil = lambda piece: piece
-        self.delay_s = 0.0
+        self.flows = threading.Event()
+        self.flows.set()
         self._baud = baud
         self._box = os.open(box_port, os.O_RDWR | os.O_NOCTTY)
         self._far, self._near = os.openpty()
@@ -36,6 +36,7 @@ class Wire:
     def cut(self) -> None:
         """Cut the wire: the port hangs up, as a USB adapter does when it is pulled out."""
         self._stop.set()
+        self.flows.set()
         self._thread.join(timeout=5)
         for descriptor in (self._near, self._far, self._box):
             with suppress(OSError):
@@ -53,5 +54,5 @@ class Wire:
                 os.write(self._box, self._at_speed(os.read(self._far, 4096)))
             if self._box in ready:
                 piece = self.spoil(self._at_speed(os.read(self._box, 4096)))
-                time.sleep(self.delay_s)
+                self.flows.wait()
                 os.write(self._far, piece)

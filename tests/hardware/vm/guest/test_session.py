@@ -9,7 +9,10 @@ from emulated.uvc_camera import UvcCamera
 from emulated.x_server import FrameBuffer, XServer
 
 import labrig
-import labrig.api  # at once: a minute for the emulated processor, and more while a camera streams
+
+# at once: a minute for the emulated processor, and more while a camera streams
+import labrig.api.results
+import labrig.api.sessions
 from drivers.transport.v4l2_device import video_devices
 from labrig.session import Session
 
