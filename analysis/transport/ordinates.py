@@ -21,7 +21,7 @@ from analysis.phase_function import UNRESOLVED, Array, phase_function, scatterin
 from analysis.transport.beam import ballistic_fluence, second_bounce
 from analysis.transport.blas import on_one_thread
 from analysis.transport.choose import relative_error
-from analysis.transport.sweep import add_turned, sweep, turn
+from analysis.transport.sweep import add_turned, sweep, turn, write_turned
 
 LARGEST = 600.0  # logarithm; leaves room for sums
 DType = type[np.float32] | type[np.float64]
@@ -66,15 +66,19 @@ class Part:
         moments = self.to_moments @ self._flat()
         return np.asarray(moments).reshape(-1, *self.radiance.shape[1:])
 
-    def scatter(self, moments: Array, sigma_t_per_mm: float, grid: Grid) -> Array:
-        """Fill in the light scattered by all directions, and return its moments, shaped like it."""
+    def scatter(self, moments: Array, weight: float, sigma_t_per_mm: float, grid: Grid) -> Array:
+        """Fill in the light scattered by all directions, and return its moments, shaped like it.
+
+        What is scattered is ``weight`` times these moments.
+        """
         shape = self.radiance.shape[1:]
         flat = moments
         if self.of_x:
-            flat = np.zeros((moments.shape[0], *shape), dtype=moments.dtype)
-            add_turned(moments, flat)
+            flat = np.empty((moments.shape[0], *shape), dtype=moments.dtype)
+            write_turned(moments, flat)
         flat = flat.reshape(moments.shape[0], -1)
-        out = np.zeros_like(flat)
+        to_source = self.to_source * self.to_source.dtype.type(weight)
+        out: Array | None = None
         cos_t, sin_t = np.cos(self.theta_rad), np.sin(self.theta_rad)
         pitch = (grid.cell_x_mm, grid.cell_y_mm)
         if not self.of_x:
@@ -83,7 +87,7 @@ class Part:
         for first in range(0, self.index.size, BLOCK):
             some = slice(first, min(first + BLOCK, self.index.size))
             source = buffer[: some.stop - first]
-            np.matmul(self.to_source[some], flat, out=source)
+            np.matmul(to_source[some], flat, out=source)
             # What the moments left out may show as a trace of negative light.
             np.maximum(source, 0.0, out=source)
             sweep(
@@ -94,8 +98,12 @@ class Part:
                 sigma_t_per_mm,
                 self.radiance[some],
             )
-            out += self.to_moments[:, some] @ self._flat()[some]
-        return out.reshape(-1, *shape)
+            light = self.to_moments[:, some] @ self._flat()[some]
+            if out is None:
+                out = light
+            else:
+                out += light
+        return np.asarray(out).reshape(-1, *shape)
 
     def _flat(self) -> Array:
         n, n_lines, n_nodes = self.radiance.shape
@@ -238,13 +246,11 @@ def march(
         yield Radiance(grid, parts, fluence, log_scale, fewer if k == 2 else None)
         if k == n_bounces:
             return
-        brightest = float(fluence.max())
-        if brightest > 0.0:
-            log_scale += math.log(brightest)
-            moments /= brightest
+        brightest = float(fluence.max()) or 1.0
+        log_scale += math.log(brightest)
         t = medium.sigma_t_per_mm
         with on_one_thread():
-            moments = _together([part.scatter(moments, t, grid) for part in parts])
+            moments = _together([part.scatter(moments, 1.0 / brightest, t, grid) for part in parts])
 
 
 def second_fluence(medium: Medium, beam: Beam, grid: Grid, theta_rad: Array) -> Array:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.light_field import BounceField, Grid
+from analysis.medium import Tank
 from analysis.phase_function import Array
 from analysis.transport.choose import Resolution, relative_errors
 from analysis.transport.sweep import cubic_weights
@@ -21,9 +22,12 @@ CELL_RATES = 2.2, -0.4  # power of the cells that errors fall with: at g = 0, an
 USUAL_TIMES = 2.7
 LEAST_TIMES, MOST_TIMES = 1.4, 6.0  # cells of an answer over those of its pilot, each way
 MORE_ANGLES = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0)  # directions, likewise
-AIMS = 0.8, 0.9  # of the tolerance, for errors from cells and from directions
+# Of the tolerance, that grids are chosen for: for errors from cells of a fluence, for those where
+# a light field is wanted (single directions are less exact than their sum), and from directions.
+FLUENCE_AIM, LIGHT_AIM, ANGLES_AIM = 0.8, 0.7, 0.9
 # Error of later bounces from 32 directions over that of the second, and its powers: it falls
 # with directions, relative to the second, and by itself, and grows with cells.
+FORGETTING = 1.2  # power of the bounces that errors from directions fall with
 THIRD_SHARE, SHARE_RATE, ANGLE_RATE, ANGLE_GROWTH = 0.28, 0.7, 2.3, 0.4
 
 
@@ -34,6 +38,7 @@ class Pilot:
     Attributes
     ----------
     base, grid, fluence : the finer of them, and its orders (K, n_y, n_x)
+    aim : of the tolerance, for errors from cells
     rate : power of the cells that errors fall with
     cells, angles : errors of its bounces from the third on that come from cells and directions
     """
@@ -41,19 +46,30 @@ class Pilot:
     base: Resolution
     grid: Grid
     fluence: Array
+    aim: float
     rate: float
     cells: float
     angles: float
 
     @classmethod
-    def of(cls, base: Resolution, grid: Grid, half: BounceField, whole: BounceField) -> Pilot:
-        """Return what a grid and every second node of it tell."""
+    def of(
+        cls,
+        base: Resolution,
+        tank: Tank,
+        half: BounceField,
+        whole: BounceField,
+        *,
+        light_field: bool,
+    ) -> Pilot:
+        """Return what a grid and every second node of it tell of an answer."""
+        grid = base.grid(tank)
         change = relative_errors(half.fluence, whole.fluence[:, ::2, ::2])
         rate = CELL_RATES[0] + CELL_RATES[1] * abs(whole.medium.g)
         return cls(
             base=base,
             grid=grid,
             fluence=whole.fluence,
+            aim=LIGHT_AIM if light_field else FLUENCE_AIM,
             rate=rate,
             cells=float(change[2:].max(initial=0.0)) / (2.0**rate - 1.0),
             angles=by_angles(whole, grid),
@@ -61,21 +77,21 @@ class Pilot:
 
     def needed(self, tolerance: float) -> float:
         """Return times the cells that are foretold to be needed."""
-        return float((self.cells / (AIMS[0] * tolerance)) ** (1.0 / self.rate))
+        return float((self.cells / (self.aim * tolerance)) ** (1.0 / self.rate))
 
     def cheapest(self, tolerance: float) -> Resolution | None:
         """Return the cheapest grid foretold to meet a tolerance; None if it is far off."""
         times = max(self.needed(tolerance), LEAST_TIMES)
         grown = self.angles * times**ANGLE_GROWTH
         for more in MORE_ANGLES if times <= MOST_TIMES else ():
-            if grown * more**-ANGLE_RATE <= AIMS[1] * tolerance:
+            if grown * more**-ANGLE_RATE <= ANGLES_AIM * tolerance:
                 return self.base.scaled(times, math.ceil(more * self.base.n_theta))
         return None
 
     def foretold(self, tolerance: float) -> Resolution:
         """Return the grid that would meet a tolerance, however fine."""
         times = max(self.needed(tolerance), LEAST_TIMES)
-        grown = self.angles * times**ANGLE_GROWTH / (AIMS[1] * tolerance)
+        grown = self.angles * times**ANGLE_GROWTH / (ANGLES_AIM * tolerance)
         more = max(grown ** (1.0 / ANGLE_RATE), 1.0)
         return self.base.scaled(times, math.ceil(more * self.base.n_theta))
 
@@ -88,10 +104,13 @@ class Pilot:
             unit=2,
         )
 
-    def measured(self, answer: BounceField, grid: Grid) -> tuple[Array, float]:
-        """Return errors of an answer from cells, (K,), and from directions."""
+    def measured(self, answer: BounceField, grid: Grid) -> tuple[Array, Array]:
+        """Return errors of an answer from cells, (K,), and from directions, (K,)."""
         change = relative_errors(self.fluence, _on_nodes_of(self.grid, answer))
-        return change / (self._times(grid) ** self.rate - 1.0), by_angles(answer, grid)
+        order = np.arange(3, change.size + 1)
+        angles = np.zeros(change.size)
+        angles[2:] = by_angles(answer, grid) * (2.0 / (order - 1)) ** FORGETTING
+        return change / (self._times(grid) ** self.rate - 1.0), angles
 
     def taught(self, grid: Grid, cells: float, angles: float) -> Pilot:
         """Return this pilot with the errors that an answer had."""
@@ -108,7 +127,7 @@ class Pilot:
 
 
 def by_angles(field: BounceField, grid: Grid) -> float:
-    """Return the error of the bounces from the third on that comes from directions."""
+    """Return the error of the third bounce that comes from directions; later ones have less."""
     return float(THIRD_SHARE * second_change(field) * (32.0 / grid.n_theta) ** SHARE_RATE)
 
 

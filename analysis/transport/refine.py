@@ -50,7 +50,8 @@ def solve_ordinates(
         If a grid exceeds the memory, or the tolerance is not met by the last that was tried.
     """
     tolerance, worst = wanted.tolerance, math.nan
-    run = _Run(medium, tank, beam, wanted.orders, _precision(medium, tank, tolerance))
+    dtype = _precision(medium, tank, tolerance)
+    run = _Run(medium, tank, beam, wanted.orders, wanted.light_field, dtype)
     with on_one_thread():
         pilot = run.pilot(resolution.scaled(1.0 / USUAL_TIMES, resolution.least_theta, unit=2))
         for _ in range(MAX_ATTEMPTS):
@@ -70,7 +71,7 @@ def solve_ordinates(
                 error[0] = 0.0
                 error[1] = _mend_second(field, grid, tolerance)
                 return replace(field, error_estimate=error)
-            pilot = pilot.taught(grid, float(cells[2:].max()), angles)
+            pilot = pilot.taught(grid, float(cells[2:].max()), float(angles[2]))
     msg = (
         f"a tolerance of {tolerance} was not met, the error is still {worst:.2g}; "
         "ask for a looser one."
@@ -86,6 +87,7 @@ class _Run:
     tank: Tank
     beam: Beam
     orders: int
+    light_field: bool
     dtype: DType
 
     def solve(self, grid: Grid, *, light_field: bool = False) -> BounceField:
@@ -100,8 +102,8 @@ class _Run:
         )
 
     def pilot(self, base: Resolution) -> Pilot:
-        grid = base.grid(self.tank)
-        return Pilot.of(base, grid, self.solve(base.grid(self.tank, every=2)), self.solve(grid))
+        half, whole = (self.solve(base.grid(self.tank, every)) for every in (2, 1))
+        return Pilot.of(base, self.tank, half, whole, light_field=self.light_field)
 
 
 def _refuse(resolution: Resolution, medium: Medium, wanted: Wanted) -> None:

@@ -255,3 +255,14 @@ def add_turned(planes: Array, out: Array) -> None:
             for j in range(planes.shape[2]):
                 for i in range(first, last):
                     out[r, j, i] += planes[r, i, j]
+
+
+@njit(cache=True, nogil=True)
+def write_turned(planes: Array, out: Array) -> None:
+    """Write the transpose of each plane (r, n, m) to ``out`` (r, m, n)."""
+    for r in range(planes.shape[0]):
+        for first in range(0, planes.shape[1], 16):
+            last = min(first + 16, planes.shape[1])
+            for j in range(planes.shape[2]):
+                for i in range(first, last):
+                    out[r, j, i] = planes[r, i, j]
