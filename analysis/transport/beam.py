@@ -98,7 +98,7 @@ def beam_integral(
     heights, irradiance = beam.profile_points()
     slant = math.radians(beam.angle_deg)
     rays = np.array([_describe_ray(one, slant, sigma_t_per_mm) for one in theta_rad.tolist()])
-    at_once = max(1, TOGETHER // out[0].size)
+    at_once = max(1, TOGETHER // math.prod(out.shape[1:]))
     for first in range(0, theta_rad.size, at_once):
         some = out[first : first + at_once]
         dimming, tau, bright, dark = np.empty((4, *some.shape), dtype=out.dtype)

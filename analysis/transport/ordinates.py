@@ -78,7 +78,7 @@ class Part:
             write_turned(moments, flat)
         flat = flat.reshape(moments.shape[0], -1)
         to_source = self.to_source * self.to_source.dtype.type(weight)
-        out: Array | None = None
+        out = np.zeros_like(flat) if self.index.size == 0 else None
         cos_t, sin_t = np.cos(self.theta_rad), np.sin(self.theta_rad)
         pitch = (grid.cell_x_mm, grid.cell_y_mm)
         if not self.of_x:

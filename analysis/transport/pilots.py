@@ -27,7 +27,7 @@ MORE_ANGLES = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0)  # directions, likewise
 FLUENCE_AIM, LIGHT_AIM, ANGLES_AIM = 0.8, 0.7, 0.9
 # Error of later bounces from 32 directions over that of the second, and its powers: it falls
 # with directions, relative to the second, and by itself, and grows with cells.
-FORGETTING = 1.2  # power of the bounces that errors from directions fall with
+FORGETTING = 0.8  # power of the bounces that errors from directions fall with
 THIRD_SHARE, SHARE_RATE, ANGLE_RATE, ANGLE_GROWTH = 0.28, 0.7, 2.3, 0.4
 
 
