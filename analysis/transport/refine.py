@@ -57,8 +57,7 @@ def solve_ordinates(
         for _ in range(MAX_ATTEMPTS):
             answer = pilot.cheapest(tolerance)
             if answer is None:
-                foretold = pilot.foretold(tolerance)
-                _refuse(foretold, medium, replace(wanted, memory_bytes=DOUBT * wanted.memory_bytes))
+                _refuse(pilot.foretold(tolerance), medium, wanted, times=DOUBT)
                 pilot = run.pilot(pilot.finer(tolerance))
                 continue
             _refuse(answer, medium, wanted)
@@ -106,10 +105,12 @@ class _Run:
         return Pilot.of(base, self.tank, half, whole, light_field=self.light_field)
 
 
-def _refuse(resolution: Resolution, medium: Medium, wanted: Wanted) -> None:
+def _refuse(resolution: Resolution, medium: Medium, wanted: Wanted, *, times: float = 1.0) -> None:
+    """Raise an error if a grid takes more than so many times the memory at hand."""
     needed = field_bytes(resolution, wanted.orders, light_field=wanted.light_field)
     what = f"{resolution} for g = {medium.g}, {wanted.orders} orders"
-    refuse_too_large(needed, wanted.memory_bytes, what)
+    if needed > times * wanted.memory_bytes:
+        refuse_too_large(needed, wanted.memory_bytes, what)
 
 
 def _precision(medium: Medium, tank: Tank, tolerance: float) -> DType:
