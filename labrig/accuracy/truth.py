@@ -14,7 +14,7 @@ from analysis.phase_function import Array
 from analysis.transport.choose import RATES, USUAL_RATE, guess, relative_error, resolvable
 from analysis.transport.ordinates import DType, second_fluence, solve_on
 
-MOST_RADIANCES = 6e8  # of the finest grid
+MOST_RADIANCES = 8e8  # of the finest grid
 FINEST, FINER = 1e-4, 4.0  # the truth has so many times the cells, each way, of this tolerance
 # What is wrong of the extrapolation in cells: of four scenes, 0.15 to 0.34 on 2.8 times the cells.
 CELLS_LEFT = 0.35
