@@ -17,6 +17,10 @@ from analysis.light_field import Grid
 from analysis.medium import Beam, Tank
 from analysis.phase_function import Array
 
+# Optical depths below which a series of five terms is more exact than a difference.
+THIN = {np.float64: 0.02, np.float32: 0.1}
+TOGETHER = 16384  # integrals at a time, which the nearer memory holds
+
 
 def ballistic_fluence(
     x_mm: Array, y_mm: Array, *, sigma_t_per_mm: float, beam: Beam
@@ -41,18 +45,20 @@ def second_bounce(
     sigma_t_per_mm: float,
     weight: Array,
     lines_of_x: bool = False,
-) -> NDArray[np.float64]:
+    out: Array | None = None,
+) -> Array:
     """Return weight(theta) times the beam integral at every node, (n, n_y, n_x).
 
     The beam integral is exp(-sigma_t s) L_1 integrated backwards along the ray, in mm; with
     ``weight = sigma_s p(theta - theta_0)`` this is L_2 exactly. ``lines_of_x`` returns it as
-    (n, n_x, n_y).
+    (n, n_x, n_y). It is written over ``out`` if that is given, in its precision.
     """
     places = places_of(grid, lines_of_x=lines_of_x)
-    out = np.zeros((theta_rad.size, places[0].size, places[1].size))
-    for n, theta in enumerate(theta_rad):
-        beam_integral(places, float(theta), beam, grid.tank, sigma_t_per_mm, out[n])
-    out *= weight[:, None, None]
+    if out is None:
+        out = np.empty((theta_rad.size, places[0].size, places[1].size))
+    out[:] = 0.0
+    beam_integral(places, theta_rad, beam, grid.tank, sigma_t_per_mm, out)
+    out *= weight[:, None, None].astype(out.dtype)
     return out
 
 
@@ -69,18 +75,19 @@ def places_of(grid: Grid, *, lines_of_x: bool = False) -> tuple[Array, Array, Ar
 
 def beam_integral(
     places: tuple[Array, Array, Array, Array],
-    theta_rad: float,
+    theta_rad: Array,
     beam: Beam,
     tank: Tank,
     sigma_t_per_mm: float,
     out: Array,
 ) -> None:
-    """Add the integral of exp(-sigma_t s) L_1 backwards along rays of one direction to ``out``.
+    """Add the integral of exp(-sigma_t s) L_1 backwards along rays to ``out``.
 
     Parameters
     ----------
     places : see `places_of`
-    out : (n_lines, n_nodes), mm
+    theta_rad : (n,), the rays' directions
+    out : (n, n_lines, n_nodes), mm; in single precision so is the integral, to some 1e-6 of itself
 
     Notes
     -----
@@ -89,13 +96,26 @@ def beam_integral(
     there: the other end may underflow where the beam is grazing.
     """
     heights, irradiance = beam.profile_points()
-    ray = _describe_ray(theta_rad, math.radians(beam.angle_deg), sigma_t_per_mm)
-    dimming, tau, bright, dark = np.empty((4, *out.shape))
-    for k in range(heights.size - 1):
-        strip = (heights[k], heights[k + 1], irradiance[k], irradiance[k + 1])
-        _cut_rays(*places, ray, (tank.depth_mm, tank.width_mm), strip, dimming, tau, bright, dark)
-        _integrate(dimming, tau, bright, dark if strip[2] != strip[3] else None)
-        out += bright
+    slant = math.radians(beam.angle_deg)
+    rays = np.array([_describe_ray(one, slant, sigma_t_per_mm) for one in theta_rad.tolist()])
+    at_once = max(1, TOGETHER // math.prod(out.shape[1:]))
+    for first in range(0, theta_rad.size, at_once):
+        some = out[first : first + at_once]
+        dimming, tau, bright, dark = np.empty((4, *some.shape), dtype=out.dtype)
+        for k in range(heights.size - 1):
+            strip = (heights[k], heights[k + 1], irradiance[k], irradiance[k + 1])
+            _cut_rays(
+                *places,
+                rays[first : first + at_once],
+                (tank.depth_mm, tank.width_mm),
+                strip,
+                dimming,
+                tau,
+                bright,
+                dark,
+            )
+            _integrate(dimming, tau, bright, dark if strip[2] != strip[3] else None)
+            some += bright
 
 
 def _integrate(dimming: Array, tau: Array, bright: Array, dark: Array | None) -> None:
@@ -103,13 +123,13 @@ def _integrate(dimming: Array, tau: Array, bright: Array, dark: Array | None) ->
 
     With what rises linearly from ``bright`` to ``dark`` as a factor; without ``dark`` it stays.
     """
-    thin = np.flatnonzero(tau.ravel() < 0.02)
+    thin = np.flatnonzero(tau.ravel() < THIN[tau.dtype.type])
     few = tau.ravel()[thin]
     np.exp(np.negative(dimming, out=dimming), out=dimming)
     left = np.exp(-tau)
     with np.errstate(invalid="ignore", divide="ignore"):
         e0 = (1.0 - left) / tau
-        # The closed forms lose their digits where tau is small; the series is exact to 1e-12.
+        # The closed forms lose their digits where tau is small; the series is exact.
         e0.ravel()[thin] = 1 - few * (1 / 2 - few * (1 / 6 - few * (1 / 24 - few / 120)))
         if dark is None:
             bright *= e0
@@ -149,7 +169,7 @@ def _cut_rays(
     x_node: Array,
     y_line: Array,
     y_node: Array,
-    ray: tuple[float, float, float, float, float, float],
+    rays: Array,
     tank: tuple[float, float],
     strip: tuple[float, float, float, float],
     dimming: Array,
@@ -163,31 +183,36 @@ def _cut_rays(
     are the irradiance that entered there times the piece's length, zero for a ray that misses
     (whose tau is one, no special case later on).
     """
-    inverse_cos, inverse_sin, slope, drift, beam_rate, rate = ray
     low, high, at_low, at_high = strip
     rise = (at_high - at_low) / (high - low)
-    wall_x = 0.0 if inverse_cos > 0.0 else tank[0]
-    wall_y = 0.0 if inverse_sin > 0.0 else tank[1]
-    per_entry = 1.0 / drift if drift != 0.0 else 0.0
-    for p in range(dimming.shape[0]):
-        for q in range(dimming.shape[1]):
-            x, y = x_line[p] + x_node[q], y_line[p] + y_node[q]
-            far_x = (x - wall_x) * inverse_cos if inverse_cos != math.inf else 1e300
-            far_y = (y - wall_y) * inverse_sin if inverse_sin != math.inf else 1e300
-            entry = y - x * slope
-            share = 1.0
-            if drift != 0.0:
-                s_low, s_high = (entry - low) * per_entry, (entry - high) * per_entry
-            else:
-                s_low, s_high = (-1e300, 1e300) if low <= entry <= high else (0.0, 0.0)
-                # A ray along the strip's edge sees the mean of both sides.
-                if min(abs(entry - low), abs(entry - high)) == 0.0:
-                    share = 0.5
-            begin = max(0.0, min(s_low, s_high))
-            end = max(begin, min(far_x, far_y, max(s_low, s_high)))
-            span = end - begin
-            near, deep = (begin, end) if rate >= 0.0 else (end, begin)
-            dimming[p, q] = beam_rate * x + rate * near
-            tau[p, q] = abs(rate) * span if span > 0.0 else 1.0
-            bright[p, q] = share * span * max(at_low + rise * (entry - drift * near - low), 0.0)
-            dark[p, q] = share * span * max(at_low + rise * (entry - drift * deep - low), 0.0)
+    for n in range(rays.shape[0]):
+        inverse_cos, inverse_sin, slope, drift, beam_rate, rate = rays[n]
+        wall_x = 0.0 if inverse_cos > 0.0 else tank[0]
+        wall_y = 0.0 if inverse_sin > 0.0 else tank[1]
+        per_entry = 1.0 / drift if drift != 0.0 else 0.0
+        for p in range(dimming.shape[1]):
+            for q in range(dimming.shape[2]):
+                x, y = x_line[p] + x_node[q], y_line[p] + y_node[q]
+                far_x = (x - wall_x) * inverse_cos if inverse_cos != math.inf else 1e300
+                far_y = (y - wall_y) * inverse_sin if inverse_sin != math.inf else 1e300
+                entry = y - x * slope
+                share = 1.0
+                if drift != 0.0:
+                    s_low, s_high = (entry - low) * per_entry, (entry - high) * per_entry
+                else:
+                    s_low, s_high = (-1e300, 1e300) if low <= entry <= high else (0.0, 0.0)
+                    # A ray along the strip's edge sees the mean of both sides.
+                    if min(abs(entry - low), abs(entry - high)) == 0.0:
+                        share = 0.5
+                begin = max(0.0, min(s_low, s_high))
+                end = max(begin, min(far_x, far_y, max(s_low, s_high)))
+                span = end - begin
+                near, deep = (begin, end) if rate >= 0.0 else (end, begin)
+                dimming[n, p, q] = beam_rate * x + rate * near
+                tau[n, p, q] = abs(rate) * span if span > 0.0 else 1.0
+                bright[n, p, q] = (
+                    share * span * max(at_low + rise * (entry - drift * near - low), 0.0)
+                )
+                dark[n, p, q] = (
+                    share * span * max(at_low + rise * (entry - drift * deep - low), 0.0)
+                )

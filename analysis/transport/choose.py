@@ -1,14 +1,13 @@
 """Tolerance in, cheapest grid out: a first guess from the scene's scales, mended by measurement.
 
 The error of an order is the relative rms of its fluence over the nodes above one percent of its
-maximum. It is measured between three nested grids, of which the coarser two cost a seventh of
-the finest, and never assumed.
+maximum. `pilots` measures it between nested grids; it is never assumed.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,59 +22,60 @@ USUAL_RATE = 2.0
 MARGIN = 1.1  # stated error over the one extrapolated
 SECOND_RATE = 1.6  # power of the number of directions that the second order's error falls with
 
+MIN_CELLS = 12  # a side
+ANGLES = 32.0  # for an error of 1e-3
+LEAST_MEETING, MOST_MEETING = 0.95, 1.2  # times the cells wished for that may meet edges better
 WORKING_FIELDS = 3  # light fields that a solution takes beside those returned
 
-# The guess, fitted to what 28 scenes needed for an error of 1e-3 (docs/accuracy.md).
-CELL_MEAN_FREE_PATHS = 0.16
-CELL_BEAM_WIDTHS = 0.16
+# The guess, fitted to what 14 scenes needed for errors of 1e-2 and 1e-3 (docs/accuracy.md).
+CELL_MEAN_FREE_PATHS = 0.14
+CELL_BEAM_WIDTHS = 0.13
+CELL_TANKS = 0.055  # of the tank's shorter side
 THINNEST = 0.15  # of what is usual: thinner beams and layers are left to the measured error
-ANGLES = 34.0
+MOST_PEAKED = 0.1  # likewise of scattering forward
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Resolution:
-    """Cells and directions of a solution, nested so that coarser ones can measure its error.
+    """Cells and directions of a solution.
 
     Attributes
     ----------
-    cells_x, cells_y : multiples of four
     n_theta : directions, a multiple of sixteen
+    least_theta : the fewest that resolve the phase function
+    edges : of the beam, shares of the tank's width; light has kinks there, and a grid whose nodes
+        meet them is up to three times as exact
     """
 
     cells_x: int
     cells_y: int
     n_theta: int
+    least_theta: int
+    edges: tuple[float, float]
 
     def __str__(self) -> str:
         return f"{self.cells_y} x {self.cells_x} cells and {self.n_theta} directions"
 
-    def grid(self, tank: Tank) -> Grid:
-        """Return the finest grid."""
-        return Grid(tank=tank, n_x=self.cells_x + 1, n_y=self.cells_y + 1, n_theta=self.n_theta)
-
-    def coarser(self, tank: Tank, times: int, g: float) -> Grid:
-        """Return the grid of every second or fourth node, and as many fewer directions.
-
-        As long as these resolve the phase function.
-        """
+    def grid(self, tank: Tank, every: int = 1) -> Grid:
+        """Return the grid of every node, or of every second or fourth."""
         return Grid(
             tank=tank,
-            n_x=self.cells_x // times + 1,
-            n_y=self.cells_y // times + 1,
-            n_theta=min(self.n_theta, max(4 * (self.n_theta // times // 4), resolvable(g))),
+            n_x=self.cells_x // every + 1,
+            n_y=self.cells_y // every + 1,
+            n_theta=self.n_theta,
         )
 
-    def refined(self, times: float, *, mostly_angles: bool) -> Resolution:
-        """Return this resolution refined, in cells or in directions, a little in the others."""
-        cells, angles = (math.sqrt(times), times) if mostly_angles else (times, math.sqrt(times))
-        return Resolution(
-            cells_x=_cells(self.cells_x * cells),
-            cells_y=_cells(self.cells_y * cells),
-            n_theta=_sixteens(self.n_theta * angles),
+    def scaled(self, times: float, n_theta: int, *, unit: int = 1) -> Resolution:
+        """Return about so many times the cells each way, multiples of a unit, and directions."""
+        return replace(
+            self,
+            cells_x=max(MIN_CELLS, unit * math.ceil(self.cells_x * times / unit - 1e-9)),
+            cells_y=_meeting(self.edges, max(MIN_CELLS, self.cells_y * times), unit),
+            n_theta=_sixteens(n_theta),
         )
 
     def radiances(self, n_bounces: int) -> float:
-        """Return how many radiances are computed, the coarser companions included."""
+        """Return how many radiances are computed, the pilots included."""
         nodes = (self.cells_x + 1.0) * (self.cells_y + 1.0)
         return nodes * 1.15 * self.n_theta * max(n_bounces - 1, 0)
 
@@ -95,19 +95,21 @@ def guess(medium: Medium, tank: Tank, beam: Beam, tolerance: float) -> Resolutio
     width = beam.to_mm - beam.from_mm
     finer = 1e-3 / tolerance
     sigma_t = max(medium.sigma_t_per_mm, 1.0 / max(tank.depth_mm, tank.width_mm))
-    # Light aslant, and more so if scattered forward, stays in a thinner layer at the face.
-    layer = math.cos(math.radians(beam.angle_deg)) ** (0.5 + 0.5 * max(medium.g, 0.0))
-    layer = max(layer, THINNEST)
-    peaked = max(1.0 - medium.g**2, 1e-4)
-    by_path = CELL_MEAN_FREE_PATHS * peaked**0.45 * layer / sigma_t
+    # Light aslant stays in a thinner layer at the face; light scattered forward keeps its edges.
+    layer = max(math.cos(math.radians(beam.angle_deg)) ** 0.75, THINNEST)
+    peaked = max((1.0 - medium.g**4) ** 1.3, MOST_PEAKED)
+    by_path = CELL_MEAN_FREE_PATHS * peaked * layer / sigma_t
     by_width = max(CELL_BEAM_WIDTHS * width, THINNEST * by_path)
-    cell_mm = finer ** (-1.0 / 2.2) / math.hypot(1.0 / by_path, 1.0 / by_width)
-    forward = 1.0 - min(abs(medium.g), 0.9999)
+    by_tank = CELL_TANKS * min(tank.depth_mm, tank.width_mm)
+    cell_mm = finer ** (-1.0 / 2.2) / math.hypot(1.0 / by_path, 1.0 / by_width, 1.0 / by_tank)
     least = resolvable(medium.g)
+    edges = (beam.from_mm / tank.width_mm, beam.to_mm / tank.width_mm)
     return Resolution(
-        cells_x=_cells(tank.depth_mm / cell_mm),
-        cells_y=_cells(tank.width_mm / cell_mm),
-        n_theta=max(least, _sixteens(ANGLES / forward**0.5 * finer**0.55)),
+        cells_x=max(MIN_CELLS, math.ceil(tank.depth_mm / cell_mm)),
+        cells_y=_meeting(edges, max(MIN_CELLS, tank.width_mm / cell_mm), 1),
+        n_theta=max(least, _sixteens(ANGLES * finer**0.5)),
+        least_theta=least,
+        edges=edges,
     )
 
 
@@ -130,34 +132,24 @@ def relative_error(found: Array, truth: Array) -> float:
 
 
 def relative_errors(found: Array, truth: Array) -> Array:
-    """Return the relative error of each order, ``truth`` having twice as fine a grid, (K,)."""
-    pairs = zip(found, truth[:, ::2, ::2], strict=True)
-    return np.array([relative_error(one, other) for one, other in pairs])
+    """Return the relative error of each order, (K,)."""
+    return np.array([relative_error(one, other) for one, other in zip(found, truth, strict=True)])
 
 
-def expected(change: Array) -> float:
-    """Return the worst error to expect of a grid twice as fine as the finer of two.
+def _meeting(edges: tuple[float, float], cells: float, unit: int) -> int:
+    """Return about so many cells, a multiple of a unit, whose nodes meet both edges best.
 
-    ``change`` is the difference between these two, by order.
+    And those of grids of every second node, down to the unit. Between 0.95 and 1.2 times what is
+    asked for.
     """
-    worst = float(change.max(initial=0.0))
-    step = float(2.0**USUAL_RATE)
-    return worst / (step - 1.0) / step
+    first = math.ceil(LEAST_MEETING * cells / unit - 1e-9)
+    most = max(first, math.floor(MOST_MEETING * cells / unit))
 
+    def miss(n: int) -> tuple[float, float]:
+        nested = [edge * n / 2**k for k in range(unit.bit_length()) for edge in edges]
+        return round(sum(abs(place - round(place)) for place in nested), 1), abs(n - cells)
 
-def extrapolate(before: Array, change: Array) -> Array:
-    """Return the error of the finest of three nested solutions, by order.
-
-    From the differences between the first and second, and between the second and third: their
-    ratio is the power that the error falls with.
-    """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        rate = np.nan_to_num(np.log2(before / change), nan=RATES[1])
-    return np.asarray(MARGIN * change / (2.0 ** np.clip(rate, *RATES) - 1.0))
-
-
-def _cells(n: float) -> int:
-    return max(12, 4 * math.ceil(n / 4.0 - 1e-9))
+    return min(range(first * unit, most * unit + 1, unit), key=miss)
 
 
 def _sixteens(n: float) -> int:

@@ -19,7 +19,7 @@ from analysis.errors import AnalysisError
 from analysis.light_field import equal_angles
 from analysis.medium import Medium, Phase
 from analysis.phase_function import Array, fourier_coefficients
-from analysis.transport.blas import BLAS
+from analysis.transport.blas import on_one_thread
 
 ComplexArray = NDArray[np.complex128]
 
@@ -111,7 +111,7 @@ def plane_light(
     sigma_s = min(medium.sigma_s_per_mm, LARGEST_ALBEDO * medium.sigma_t_per_mm)
     sigma_t = medium.sigma_t_per_mm - sigma_s * quadrant.spike
     rate = (sigma_t + 1j * q * math.sin(slant)) / math.cos(slant)
-    with BLAS.limit(limits=1):
+    with on_one_thread():
         same, cross = _operator(quadrant, sigma_t, sigma_s, q)
         from_beam = _source(quadrant, sigma_s, slant)
         n = quadrant.theta_rad.size

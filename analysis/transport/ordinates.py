@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.errors import AnalysisError
-from analysis.light_field import BounceField, Grid
+from analysis.light_field import BounceField, Grid, equal_angles
 from analysis.medium import Beam, Medium
 from analysis.phase_function import UNRESOLVED, Array, phase_function, scattering_moments
-from analysis.transport.beam import ballistic_fluence, beam_integral, places_of, second_bounce
-from analysis.transport.blas import BLAS
-from analysis.transport.sweep import add_turned, sweep, turn
+from analysis.transport.beam import ballistic_fluence, second_bounce
+from analysis.transport.blas import on_one_thread
+from analysis.transport.choose import relative_error
+from analysis.transport.sweep import add_turned, sweep, turn, write_turned
 
 LARGEST = 600.0  # logarithm; leaves room for sums
 DType = type[np.float32] | type[np.float64]
@@ -53,51 +54,56 @@ class Part:
 
     def light_from(self, medium: Medium, beam: Beam, grid: Grid) -> Array:
         """Fill in the second bounce and return its moments, shaped like it."""
-        angle = self.theta_rad - math.radians(beam.angle_deg)
-        self.radiance[:] = second_bounce(
+        second_bounce(
             grid,
             beam,
             self.theta_rad,
             sigma_t_per_mm=medium.sigma_t_per_mm,
-            weight=phase_function(angle, medium.g, medium.phase),
+            weight=_weight(medium, beam, self.theta_rad),
             lines_of_x=self.of_x,
+            out=self.radiance,
         )
-        with BLAS.limit(limits=1):
-            moments = self.to_moments @ self._flat()
+        moments = self.to_moments @ self._flat()
         return np.asarray(moments).reshape(-1, *self.radiance.shape[1:])
 
-    def scatter(self, moments: Array, sigma_t_per_mm: float, grid: Grid) -> Array:
-        """Fill in the light scattered by all directions, and return its moments, shaped like it."""
+    def scatter(self, moments: Array, weight: float, sigma_t_per_mm: float, grid: Grid) -> Array:
+        """Fill in the light scattered by all directions, and return its moments, shaped like it.
+
+        What is scattered is ``weight`` times these moments.
+        """
         shape = self.radiance.shape[1:]
         flat = moments
         if self.of_x:
-            flat = np.zeros((moments.shape[0], *shape), dtype=moments.dtype)
-            add_turned(moments, flat)
+            flat = np.empty((moments.shape[0], *shape), dtype=moments.dtype)
+            write_turned(moments, flat)
         flat = flat.reshape(moments.shape[0], -1)
-        out = np.zeros_like(flat)
+        to_source = self.to_source * self.to_source.dtype.type(weight)
+        out = np.zeros_like(flat) if self.index.size == 0 else None
         cos_t, sin_t = np.cos(self.theta_rad), np.sin(self.theta_rad)
         pitch = (grid.cell_x_mm, grid.cell_y_mm)
         if not self.of_x:
             cos_t, sin_t, pitch = sin_t, cos_t, pitch[::-1]
         buffer = np.empty((BLOCK, flat.shape[1]), dtype=flat.dtype)
-        with BLAS.limit(limits=1):
-            for first in range(0, self.index.size, BLOCK):
-                some = slice(first, min(first + BLOCK, self.index.size))
-                source = buffer[: some.stop - first]
-                np.matmul(self.to_source[some], flat, out=source)
-                # What the moments left out may show as a trace of negative light.
-                np.maximum(source, 0.0, out=source)
-                radiance = self.radiance[some]
-                sweep(
-                    source.reshape(-1, *shape),
-                    cos_t[some],
-                    sin_t[some],
-                    pitch,
-                    sigma_t_per_mm,
-                    radiance,
-                )
-                out += self.to_moments[:, some] @ self._flat()[some]
-        return out.reshape(-1, *shape)
+        for first in range(0, self.index.size, BLOCK):
+            some = slice(first, min(first + BLOCK, self.index.size))
+            source = buffer[: some.stop - first]
+            np.matmul(to_source[some], flat, out=source)
+            # What the moments left out may show as a trace of negative light.
+            np.maximum(source, 0.0, out=source)
+            sweep(
+                source.reshape(-1, *shape),
+                cos_t[some],
+                sin_t[some],
+                pitch,
+                sigma_t_per_mm,
+                self.radiance[some],
+            )
+            light = self.to_moments[:, some] @ self._flat()[some]
+            if out is None:
+                out = light
+            else:
+                out += light
+        return np.asarray(out).reshape(-1, *shape)
 
     def _flat(self) -> Array:
         n, n_lines, n_nodes = self.radiance.shape
@@ -113,12 +119,14 @@ class Radiance:
     parts : the directions and their radiance, overwritten by the next bounce
     fluence : (n_y, n_x), the integral over direction
     log_scale : its exponential is taken out, so that no order over- or underflows
+    fewer : of bounce 2, if summed over more directions than the grid's, the fluence by these alone
     """
 
     grid: Grid
     parts: tuple[Part, Part]
     fluence: Array
     log_scale: float
+    fewer: Array | None = None
 
     def light_field(self, weight: float, out: Array) -> None:
         """Write weight * L_k, its scale still taken out, into out (n_y, n_x, n_theta)."""
@@ -134,8 +142,12 @@ def solve_on(
     n_bounces: int,
     light_field: bool = True,
     dtype: DType = np.float64,
+    second_times: int = 1,
 ) -> BounceField:
     """Return bounces 1 .. n_bounces on a given grid; `transport.solve.solve` chooses one.
+
+    ``second_times`` is that of `march`. If there are several, ``error_estimate`` tells how much
+    they changed bounce 2, relative to it; what is not known is NaN.
 
     Raises
     ------
@@ -148,14 +160,25 @@ def solve_on(
     fluence[0] = ballistic_fluence(
         grid.x_mm, grid.y_mm, sigma_t_per_mm=medium.sigma_t_per_mm, beam=beam
     )
-    marching = march(medium, beam, grid, n_bounces=n_bounces, dtype=dtype)
+    error = np.full(n_bounces, np.nan)
+    marching = march(
+        medium, beam, grid, n_bounces=n_bounces, dtype=dtype, second_times=second_times
+    )
     for k, radiance in enumerate(marching, start=2):
         weight = bounce_weight(medium, k, radiance.log_scale)
         np.multiply(radiance.fluence.astype(np.float64), weight, out=fluence[k - 1])
         if field is not None:
             radiance.light_field(weight, field[k - 2])
+        if radiance.fewer is not None:
+            error[1] = relative_error(radiance.fewer, radiance.fluence)
     return BounceField(
-        medium=medium, beam=beam, grid=grid, fluence=fluence, light_field=field, engine="ordinates"
+        medium=medium,
+        beam=beam,
+        grid=grid,
+        fluence=fluence,
+        light_field=field,
+        engine="ordinates",
+        error_estimate=error if second_times > 1 else None,
     )
 
 
@@ -177,13 +200,22 @@ def bounce_weight(medium: Medium, k: int, log_scale: float) -> float:
 
 
 def march(
-    medium: Medium, beam: Beam, grid: Grid, *, n_bounces: int, dtype: DType = np.float64
+    medium: Medium,
+    beam: Beam,
+    grid: Grid,
+    *,
+    n_bounces: int,
+    dtype: DType = np.float64,
+    second_times: int = 1,
 ) -> Iterator[Radiance]:
     """Yield L_k of bounces k = 2 .. n_bounces for a scattering coefficient of one.
 
     ``w . grad L_k + sigma_t L_k = integral p(theta - theta') L_(k-1)(theta') dtheta'``
     with black walls; the true L_k is sigma_s^(k-1) times as much. In single precision (``dtype``)
     all but the closed form is; rounding then costs about 1e-6 of the brightest.
+
+    L_2 has kinks over direction that later bounces have no more: its fluence, and what it feeds
+    to the third bounce, are summed over ``second_times`` (odd) as many directions as the grid has.
 
     Raises
     ------
@@ -201,19 +233,24 @@ def march(
             f"(|g|^(n/2) = {unresolved:.2g} > {UNRESOLVED}); use more angles."
         )
         raise AnalysisError(msg)
-    parts = _parts(medium, grid, dtype)
-    moments = _together([part.light_from(medium, beam, grid) for part in parts])
+    parts, fewer = _parts(medium, grid, dtype), None
+    with on_one_thread():
+        moments = _together([part.light_from(medium, beam, grid) for part in parts])
+        if second_times > 1:
+            fewer = moments[0].copy()
+            moments += _second_between(medium, beam, grid, second_times, dtype)
+            moments /= second_times
     log_scale = 0.0
     for k in range(2, n_bounces + 1):
         fluence = moments[0].copy()
-        yield Radiance(grid, parts, fluence, log_scale)
+        yield Radiance(grid, parts, fluence, log_scale, fewer if k == 2 else None)
         if k == n_bounces:
             return
-        brightest = float(fluence.max())
-        if brightest > 0.0:
-            log_scale += math.log(brightest)
-            moments /= brightest
-        moments = _together([part.scatter(moments, medium.sigma_t_per_mm, grid) for part in parts])
+        brightest = float(fluence.max()) or 1.0
+        log_scale += math.log(brightest)
+        t = medium.sigma_t_per_mm
+        with on_one_thread():
+            moments = _together([part.scatter(moments, 1.0 / brightest, t, grid) for part in parts])
 
 
 def second_fluence(medium: Medium, beam: Beam, grid: Grid, theta_rad: Array) -> Array:
@@ -222,15 +259,41 @@ def second_fluence(medium: Medium, beam: Beam, grid: Grid, theta_rad: Array) -> 
     In closed form at every node and direction, for a scattering coefficient of one.
     """
     beam = beam.entering(grid.tank)
-    weight = phase_function(theta_rad - math.radians(beam.angle_deg), medium.g, medium.phase)
-    places, total = places_of(grid), np.zeros((grid.n_y, grid.n_x))
-    one = np.empty_like(total)
-    for theta, factor in zip(theta_rad, weight, strict=True):
-        one[:] = 0.0
-        beam_integral(places, float(theta), beam, grid.tank, medium.sigma_t_per_mm, one)
-        one *= factor
-        total += one
-    return total * (2.0 * np.pi / theta_rad.size)
+    one = np.full((1, theta_rad.size), 2.0 * np.pi / theta_rad.size)
+    with on_one_thread():
+        return np.asarray(_second_moments(medium, beam, grid, theta_rad, one)[0])
+
+
+def _second_between(medium: Medium, beam: Beam, grid: Grid, times: int, dtype: DType) -> Array:
+    """Return moments of L_2, (r, n_y, n_x), over the directions between those of the grid."""
+    n_theta = grid.n_theta
+    theta_rad = equal_angles(times * n_theta)[np.arange(times * n_theta) % times != times // 2]
+    basis, _ = scattering_moments(
+        medium.g, medium.phase, theta_rad, n_orders=n_theta // 2, negligible=NEGLIGIBLE
+    )
+    to_moments: Array = (basis * (2.0 * np.pi / n_theta)).astype(dtype)
+    return _second_moments(medium, beam, grid, theta_rad, to_moments)
+
+
+def _second_moments(
+    medium: Medium, beam: Beam, grid: Grid, theta_rad: Array, to_moments: Array
+) -> Array:
+    """Return to_moments (r, n) times L_2 of n directions at every node, (r, n_y, n_x)."""
+    dtype, t = to_moments.dtype, medium.sigma_t_per_mm
+    weight = _weight(medium, beam, theta_rad)
+    total = np.zeros((to_moments.shape[0], grid.n_y * grid.n_x), dtype=dtype)
+    buffer = np.empty((BLOCK, grid.n_y, grid.n_x), dtype=dtype)
+    for first in range(0, theta_rad.size, BLOCK):
+        some = slice(first, min(first + BLOCK, theta_rad.size))
+        light = buffer[: some.stop - first]
+        second_bounce(grid, beam, theta_rad[some], sigma_t_per_mm=t, weight=weight[some], out=light)
+        total += to_moments[:, some] @ light.reshape(light.shape[0], -1)
+    return total.reshape(-1, grid.n_y, grid.n_x)
+
+
+def _weight(medium: Medium, beam: Beam, theta_rad: Array) -> Array:
+    """Return the share of the beam that is scattered into each direction, per radian."""
+    return phase_function(theta_rad - math.radians(beam.angle_deg), medium.g, medium.phase)
 
 
 def _together(moments: list[Array]) -> Array:

@@ -19,7 +19,7 @@ from scipy.interpolate import CubicSpline
 from analysis.errors import AnalysisError
 from analysis.medium import Medium
 from analysis.phase_function import Array, phase_function, scattering_moments
-from analysis.transport.blas import BLAS
+from analysis.transport.blas import on_one_thread
 
 ComplexArray = NDArray[np.complex128]
 
@@ -209,7 +209,7 @@ def _beam_integral(grid: PlaneGrid, extinction: ComplexArray, beam_rate: complex
 
 
 def _real_times(matrix: Array, vectors: ComplexArray) -> ComplexArray:
-    with BLAS.limit(limits=1):
+    with on_one_thread():
         return np.asarray((matrix @ vectors.view(np.float64)).view(np.complex128))
 
 

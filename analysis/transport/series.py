@@ -38,7 +38,8 @@ def orders_needed(medium: Medium, tank: Tank, beam: Beam, tolerance: float) -> i
         return 1
     if abs(medium.g) > ALMOST_LIMIT:
         return _orders_of_peaked(medium, tank, beam, tolerance)
-    grid = guess(medium, tank, beam, 0.1).coarser(tank, 2, medium.g)
+    first = guess(medium, tank, beam, 0.1)
+    grid = first.scaled(0.5, first.least_theta).grid(tank)
     if grid.n_x * grid.n_y * grid.n_theta > COUNTING_RADIANCES:
         msg = (
             f"the tank is so large beside a mean free path that its bounces would be counted on "

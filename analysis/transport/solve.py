@@ -27,6 +27,7 @@ from analysis.transport.series import MAX_ORDERS, orders_needed
 
 Engine = Literal["auto", "ordinates", "plane", "montecarlo", "exhaustive"]
 TOLERANCES = (1e-6, 0.5)
+GUESSED = 4.0  # times the memory at hand, that a guessed grid may take before it is refused
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,7 +143,9 @@ def choose(
     elif engine == "auto":
         name, reason = "ordinates", "cheapest with a light field free of noise"
     needed = field_bytes(resolution, n_orders, light_field=light_field and name != "peaked")
-    if name in ("ordinates", "peaked"):
+    # The grid of ordinates is a guess yet: whether less does, pilots tell.
+    allowed = {"peaked": 1.0, "ordinates": GUESSED}.get(name, math.inf)
+    if needed > allowed * memory_bytes:
         refuse_too_large(
             needed, memory_bytes, f"{resolution} for g = {medium.g}, {n_orders} orders"
         )

@@ -3,7 +3,8 @@
 A ray reaches a node from the line of nodes before it. What it brings is interpolated there by a
 cubic; what is added on the way follows a parabola through the source before, at and behind the
 node, integrated exactly with the extinction. Cubic and parabola may undershoot beside an edge:
-there both are linear, which cannot.
+there both are linear, which cannot. Beside a wall that grazing light enters by, the radiance rises
+within less than a cell: what is interpolated there is the share of that rise.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ import numpy as np
 from numba import njit
 
 from analysis.phase_function import Array
+
+Ray = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
 
 
 @njit(cache=True, nogil=True)
@@ -40,16 +43,46 @@ def sweep(
     for n in range(source.shape[0]):
         path = h_line / abs(cos_theta[n])
         shift = sin_theta[n] * path / h_node
-        tau = sigma_t_per_mm * path
-        ray = (shift, math.exp(-tau), path, *exponential_moments(tau))
+        ray = _describe(shift, path, sigma_t_per_mm * path)
         _march(source[n], cos_theta[n] > 0.0, ray, out[n])
+
+
+@njit(cache=True, nogil=True)
+def _describe(shift: float, path: float, tau: float) -> Ray:
+    """Return what the rays of one direction share.
+
+    Their shift in nodes from line to line; the light left after that path; the path; the moments
+    of the exponential; and what the nodes 1, 2 and 3 away from the wall of entry weigh for the
+    light that reaches the nodes one and two away from it.
+    """
+    share = abs(shift)
+    depth = max(tau / share, 1e-6) if share > 0.0 else 1.0  # optical, of a node's distance
+    first = _rising_weights(1.0 - share, depth)
+    second = _rising_weights(2.0 - share, depth)
+    return (shift, math.exp(-tau), path, *exponential_moments(tau), *first, *second)
+
+
+@njit(cache=True, nogil=True)
+def _rising_weights(position: float, depth: float) -> tuple[float, float, float]:
+    """Return the weights of nodes 1, 2, 3 for light that enters nowhere but is set out evenly.
+
+    Its radiance is 1 - exp(-depth x) times a parabola; where ``depth`` is small, the cubic that
+    vanishes at the wall.
+    """
+    a, b, c = position - 1.0, position - 2.0, position - 3.0
+    rise = math.expm1(-depth * position)
+    return (
+        0.5 * b * c * rise / math.expm1(-depth),
+        -a * c * rise / math.expm1(-2.0 * depth),
+        0.5 * a * b * rise / math.expm1(-3.0 * depth),
+    )
 
 
 @njit(cache=True, nogil=True)
 def _march(
     source: Array,
     forward: bool,
-    ray: tuple[float, float, float, float, float, float],
+    ray: Ray,
     out: Array,
 ) -> None:
     """Fill one direction, line after line; rays come from ``shift`` nodes lower a line before."""
@@ -63,7 +96,7 @@ def _march(
         if done == n_lines - 1 or _fill_line(source, p, step, ray, out):
             for q in range(2, n_nodes - 2):
                 out[p, q] = _node(source, out, p, q, step, done, ray)
-        for q in (0, 1, n_nodes - 2, n_nodes - 1):
+        for q in (0, 1, abs(inflow - 2), n_nodes - 2, n_nodes - 1):
             out[p, q] = 0.0 if q == inflow else _node(source, out, p, q, step, done, ray)
 
 
@@ -72,14 +105,14 @@ def _fill_line(
     source: Array,
     line: int,
     step: int,
-    ray: tuple[float, float, float, float, float, float],
+    ray: Ray,
     out: Array,
 ) -> bool:
     """Fill all but the two outermost nodes of either end; return whether any undershot.
 
     The indices are unsigned: a test for negative ones would keep the loop off the vector unit.
     """
-    shift, left, path, e0, e1, e2 = ray
+    shift, left, path, e0, e1, e2 = ray[:6]
     one, two, three = np.uint64(1), np.uint64(2), np.uint64(3)
     before, here, behind = np.uint64(line - step), np.uint64(line), np.uint64(line + step)
     low, high = (np.uint64(0), one) if shift > 0.0 else (one, np.uint64(0))
@@ -113,12 +146,12 @@ def _node(
     q: int,
     step: int,
     done: int,
-    ray: tuple[float, float, float, float, float, float],
+    ray: Ray,
 ) -> float:
     """Return the radiance at any node: beside walls, or where the smooth forms undershoot."""
-    shift, left, path, e0, e1, e2 = ray
+    shift, left, path, e0, e1, e2 = ray[:6]
     n_lines, n_nodes = source.shape
-    brought = interpolate(out, p - step, q - shift)
+    brought = _brought(out, p - step, q, ray)
     past, here = interpolate(source, p - step, q - shift), source[p, q]
     ahead, origin = q + shift, q - 2.0 * shift
     if done < n_lines - 1 and 0.0 <= ahead <= n_nodes - 1.0:
@@ -140,6 +173,22 @@ def _node(
         added = (e0 - e1) * here + e1 * past
     arriving: float = left * brought + path * added
     return arriving
+
+
+@njit(cache=True, nogil=True)
+def _brought(out: Array, line: int, q: int, ray: Ray) -> float:
+    """Return the radiance of a line where the ray leaves it that arrives at node ``q``."""
+    n_nodes = out.shape[1]
+    shift = ray[0]
+    inflow, inwards = (0, 1) if shift > 0.0 else (n_nodes - 1, -1)
+    away = abs(q - inflow)
+    if away > 2 or shift == 0.0:
+        found: float = interpolate(out, line, q - shift)
+        return found
+    w1, w2, w3 = ray[6:9] if away == 1 else ray[9:12]
+    near: float = w1 * out[line, inflow + inwards] + w2 * out[line, inflow + 2 * inwards]
+    far: float = w3 * out[line, inflow + 3 * inwards]
+    return near + far
 
 
 @njit(cache=True, nogil=True)
@@ -206,3 +255,14 @@ def add_turned(planes: Array, out: Array) -> None:
             for j in range(planes.shape[2]):
                 for i in range(first, last):
                     out[r, j, i] += planes[r, i, j]
+
+
+@njit(cache=True, nogil=True)
+def write_turned(planes: Array, out: Array) -> None:
+    """Write the transpose of each plane (r, n, m) to ``out`` (r, m, n)."""
+    for r in range(planes.shape[0]):
+        for first in range(0, planes.shape[1], 16):
+            last = min(first + 16, planes.shape[1])
+            for j in range(planes.shape[2]):
+                for i in range(first, last):
+                    out[r, j, i] = planes[r, i, j]

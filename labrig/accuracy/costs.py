@@ -68,18 +68,17 @@ class Costs:
     notes: list[str]
 
     def verdicts(self) -> list[Verdict]:
-        """Return the automatic choices, each against the cheapest setting good enough."""
+        """Return the automatic choices, loose to tight, each against the cheapest good enough."""
         tried = [run for run in self.runs if run.tolerance is None]
         found = []
-        for run in self.runs:
-            if run.tolerance is None:
-                continue
-            enough = [other for other in tried if other.error <= run.tolerance]
+        chosen = [(run.tolerance, run) for run in self.runs if run.tolerance is not None]
+        for tolerance, run in sorted(chosen, key=lambda pair: -pair[0]):
+            enough = [other for other in tried if other.error <= tolerance]
             least = min(enough, key=lambda other: other.cpu_s, default=None)
             found.append(
                 Verdict(
-                    tolerance=run.tolerance,
-                    outcome=self._outcome(run.error, run.tolerance),
+                    tolerance=tolerance,
+                    outcome=self._outcome(run.error, tolerance),
                     cheapest=least,
                     ratio=run.cpu_s / least.cpu_s if least else None,
                 )

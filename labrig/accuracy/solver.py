@@ -19,7 +19,7 @@ from analysis.transport.engines import SAMPLED_CELLS
 from analysis.transport.exhaustive import predict_s, solve_exhaustive
 from analysis.transport.montecarlo import SampledField, simulate
 from analysis.transport.ordinates import DType, second_fluence, solve_on
-from analysis.transport.refine import SINGLE_DEPTHS
+from analysis.transport.refine import SECOND_TIMES, SINGLE_DEPTHS
 from analysis.transport.solve import choose, solve
 from labrig.accuracy.costs import Costs, Run, Witness, with_front
 from labrig.accuracy.truth import Truth, find_truth
@@ -200,9 +200,11 @@ def _ordinates(
             task, truth, replace(cells, n_theta=directions[0]).grid(task.tank), least_second
         )
         runs = []
-        for n_theta in (n for n in directions if n >= min(least, directions[-1])):
-            if nodes * n_theta * (task.orders - 1) > MOST_RADIANCES:
-                break
+        settings = [(n, 1) for n in directions if n >= min(least, directions[-1])]
+        settings += [(n, SECOND_TIMES) for n in directions]
+        for n_theta, times in settings:
+            if nodes * n_theta * (task.orders - 1) > MOST_RADIANCES / times:
+                continue
             grid = replace(cells, n_theta=n_theta).grid(task.tank)
             field, cpu_s = timed(
                 partial(
@@ -213,11 +215,15 @@ def _ordinates(
                     n_bounces=task.orders,
                     light_field=False,
                     dtype=task.dtype,
+                    second_times=times,
                 )
             )
             error = truth.errors_on(grid, field.fluence)
             name = f"{grid.n_y - 1} x {grid.n_x - 1} cells, {n_theta} directions"
-            runs.append(Run(method="ordinates", setting=name, cpu_s=cpu_s, **_worst(error)))
+            method = "ordinates" if times == 1 else "ordinates, order 2 finer"
+            runs.append(Run(method=method, setting=name, cpu_s=cpu_s, **_worst(error)))
+            if times > 1:
+                continue
             rest = float(error[1:].max())
             more = [one for one in apart if one[0] > n_theta]
             good = [one for one in more if one[2] <= rest] or more[-1:]

@@ -47,6 +47,7 @@ METHODS = {  # of the cost of accuracy: colour, marker and its size
     "montecarlo": (GREEN, "s", 6.0),
     "ordinates": (SKY, "o", 4.5),
     "ordinates, order 2 apart": (BLUE, "o", 4.5),
+    "ordinates, order 2 finer": (BLUE, "s", 3.5),
 }
 CROSS = "#ff7a66"  # a red that is bright enough for the dark end of cividis
 FAINTEST = 1e-6  # of all the light: bounces below are not drawn

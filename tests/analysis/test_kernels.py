@@ -17,11 +17,11 @@ GRID = Grid(tank=TANK, n_x=6, n_y=5, n_theta=8)
 @pytest.mark.parametrize("theta", [0.3, 1.9, 3.5, 5.9])
 def test_cut_rays(theta):
     """Both orders of lines, and rays that miss."""
-    ray = beam_kernels._describe_ray(theta, 0.3, 0.7)
+    rays = np.array([beam_kernels._describe_ray(theta, 0.3, 0.7)])
     results = []
     for kernel in (beam_kernels._cut_rays, beam_kernels._cut_rays.py_func):
-        found = np.empty((4, 5, 6))
-        kernel(*beam_kernels.places_of(GRID), ray, (5.0, 4.0), (1.0, 2.5, 0.5, 1.0), *found)
+        found = np.empty((4, 1, 5, 6))
+        kernel(*beam_kernels.places_of(GRID), rays, (5.0, 4.0), (1.0, 2.5, 0.5, 1.0), *found)
         results.append(found)
     # measured equal to the bit
     np.testing.assert_allclose(results[0], results[1], atol=1e-14)
@@ -36,7 +36,7 @@ def test_sweep(dtype, cos_sign):
     fast, slow = np.empty_like(source), np.empty_like(source)
     for kernel, out in ((sweep._march, fast), (sweep._march.py_func, slow)):
         for n in range(4):
-            ray = (sin_t[n] / abs(cos_t[n]), 0.6, 1.1, *sweep.exponential_moments(0.5))
+            ray = sweep._describe(sin_t[n] / abs(cos_t[n]), 1.1, 0.5)
             kernel(source[n], bool(cos_t[n] > 0.0), ray, out[n])
     # measured equal to the bit in double; single rounds once more in the interpreter
     tolerance = 1e-14 if dtype is np.float64 else 1e-6

@@ -20,11 +20,10 @@ MIDDLE = 200.0
 
 def strip(x: float, theta: float, beam: Beam = FULL, tank: Tank = WIDE, y: float = MIDDLE) -> float:
     """The closed form at one point and direction, sigma_t = 1 / mm."""
-    out = np.zeros((1, 1))
-    beam_integral(
-        (np.array([x]), np.zeros(1), np.array([y]), np.zeros(1)), theta, beam, tank, 1.0, out
-    )
-    return float(out[0, 0])
+    out = np.zeros((1, 1, 1))
+    places = (np.array([x]), np.zeros(1), np.array([y]), np.zeros(1))
+    beam_integral(places, np.array([theta]), beam, tank, 1.0, out)
+    return float(out.item())
 
 
 @pytest.mark.parametrize("tau", [0.01, 0.3146631336, 1.0, 5.0])

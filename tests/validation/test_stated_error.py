@@ -95,7 +95,7 @@ def test_the_stated_error_is_the_true_one_within_a_factor():
                 ratios[name, tolerance, k] = field.error_estimate[k - 1] / true[k - 2]
     found = np.array(list(ratios.values()))
     assert found.size >= 56
-    # measured 0.49 (two orders) to 2.4 with a median of 1.2
+    # measured 0.67 to 7.2 with a median of 1.6, in all of 60 orders
     inside = (found >= 0.5) & (found <= 10.0)
     assert inside.mean() >= 0.95, ratios
-    assert found.min() >= 0.25, ratios
+    assert found.min() >= 0.5, ratios
