@@ -90,7 +90,13 @@ def _by_paths(scene: Scene, orders: int, tolerance: float) -> tuple[Choice, floa
 
 
 def _cells(picture: Grid, n_directions: int) -> Resolution:
-    return Resolution(cells_x=picture.n_x - 1, cells_y=picture.n_y - 1, n_theta=n_directions)
+    return Resolution(
+        cells_x=picture.n_x - 1,
+        cells_y=picture.n_y - 1,
+        n_theta=n_directions,
+        least_theta=n_directions,
+        edges=(0.0, 1.0),
+    )
 
 
 def _kept_bytes(picture: Grid, orders: int, n_waves_x: int) -> float:
