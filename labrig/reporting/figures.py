@@ -226,7 +226,7 @@ def cost_figure(costs: Costs) -> Figure:
             across = panel.get_yaxis_transform()
             panel.text(0.0, 1.08 * tolerance, text, color=RED, transform=across)
         errors, times = ([getattr(run, name) for run in costs.runs] for name in ("error", "cpu_s"))
-        logarithmic(panel, 0.5 * min(errors), 1.6 * max(errors))
+        logarithmic(panel, 0.5 * min(*errors, costs.truth_error), 1.6 * max(errors))
         known: dict[str, Any] = {
             "color": BAD,
             "lw": 0,
