@@ -1,8 +1,10 @@
 """Pilots: coarse solutions that foretell the cheapest grid for a tolerance, and measure its error.
 
 Errors come from cells and from directions. Two nested grids tell the former, which falls with the
-second power of the cells. Of the latter the second bounce tells: it is known in closed form, and
-a third of its directions by themselves show what these leave; later bounces feel a share of that.
+second power of the cells. Of the latter the second bounce tells on every grid: it is known in
+closed form, and a third of its directions by themselves show what these leave. Later bounces feel a
+share of that, which the coarser grid tells with twice the directions; less than usual is not
+believed of so coarse a grid.
 """
 
 from __future__ import annotations
@@ -25,10 +27,12 @@ MORE_ANGLES = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0)  # directions, likewise
 # Of the tolerance, that grids are chosen for: for errors from cells of a fluence, for those where
 # a light field is wanted (single directions are less exact than their sum), and from directions.
 FLUENCE_AIM, LIGHT_AIM, ANGLES_AIM = 0.8, 0.7, 0.9
-# Error of later bounces from 32 directions over that of the second, and its powers: it falls
-# with directions, relative to the second, and by itself, and grows with cells.
-FORGETTING = 0.8  # power of the bounces that errors from directions fall with
-THIRD_SHARE, SHARE_RATE, ANGLE_RATE, ANGLE_GROWTH = 0.28, 0.7, 2.3, 0.4
+# Powers of errors of later bounces from directions: they fall with these, by themselves and
+# relative to the second bounce, and grow with cells.
+ANGLE_RATE, SHARE_RATE, ANGLE_GROWTH = 2.3, 0.7, 0.4
+ON_FINER = 0.85  # share that fine grids show of what directions leave, over that of a pilot
+# Likewise of bounce 3 by 32 directions, and the power of the scatterings that it falls with.
+USUAL_SHARE, FORGETTING = 0.28, 0.8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,6 +45,7 @@ class Pilot:
     aim : of the tolerance, for errors from cells
     rate : power of the cells that errors fall with
     cells, angles : errors of its bounces from the third on that come from cells and directions
+    share : (K,), of what directions leave of bounce 2, that they leave of bounces from the third on
     """
 
     base: Resolution
@@ -50,6 +55,7 @@ class Pilot:
     rate: float
     cells: float
     angles: float
+    share: Array
 
     @classmethod
     def of(
@@ -57,12 +63,19 @@ class Pilot:
         base: Resolution,
         tank: Tank,
         half: BounceField,
+        turned: BounceField,
         whole: BounceField,
         *,
         light_field: bool,
     ) -> Pilot:
-        """Return what a grid and every second node of it tell of an answer."""
+        """Return what a grid tells, and every second node of it, also with twice the directions."""
         grid = base.grid(tank)
+        left = ON_FINER * relative_errors(half.fluence, turned.fluence) / (1.0 - 2.0**-ANGLE_RATE)
+        share, scatterings = np.zeros(left.size), np.arange(2, left.size)
+        share[2:] = USUAL_SHARE * (2.0 / scatterings) ** FORGETTING
+        share *= (32.0 / grid.n_theta) ** SHARE_RATE
+        if (second := second_change(half)) > 0.0:
+            share[2:] = np.maximum(share[2:], left[2:] / second)
         change = relative_errors(half.fluence, whole.fluence[:, ::2, ::2])
         rate = CELL_RATES[0] + CELL_RATES[1] * abs(whole.medium.g)
         return cls(
@@ -72,7 +85,8 @@ class Pilot:
             aim=LIGHT_AIM if light_field else FLUENCE_AIM,
             rate=rate,
             cells=float(change[2:].max(initial=0.0)) / (2.0**rate - 1.0),
-            angles=by_angles(whole, grid),
+            angles=float(share.max()) * second_change(whole),
+            share=share,
         )
 
     def needed(self, tolerance: float) -> float:
@@ -107,10 +121,8 @@ class Pilot:
     def measured(self, answer: BounceField, grid: Grid) -> tuple[Array, Array]:
         """Return errors of an answer from cells, (K,), and from directions, (K,)."""
         change = relative_errors(self.fluence, _on_nodes_of(self.grid, answer))
-        order = np.arange(3, change.size + 1)
-        angles = np.zeros(change.size)
-        angles[2:] = by_angles(answer, grid) * (2.0 / (order - 1)) ** FORGETTING
-        return change / (self._times(grid) ** self.rate - 1.0), angles
+        turned = second_change(answer) * (self.grid.n_theta / grid.n_theta) ** SHARE_RATE
+        return change / (self._times(grid) ** self.rate - 1.0), self.share * turned
 
     def taught(self, grid: Grid, cells: float, angles: float) -> Pilot:
         """Return this pilot with the errors that an answer had."""
@@ -124,11 +136,6 @@ class Pilot:
     def _times(self, grid: Grid) -> float:
         pairs = ((grid.n_x, self.grid.n_x), (grid.n_y, self.grid.n_y))
         return math.sqrt(math.prod((many - 1) / (few - 1) for many, few in pairs))
-
-
-def by_angles(field: BounceField, grid: Grid) -> float:
-    """Return the error of the third bounce that comes from directions; later ones have less."""
-    return float(THIRD_SHARE * second_change(field) * (32.0 / grid.n_theta) ** SHARE_RATE)
 
 
 def second_change(field: BounceField) -> float:

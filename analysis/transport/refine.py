@@ -70,7 +70,7 @@ def solve_ordinates(
                 error[0] = 0.0
                 error[1] = _mend_second(field, grid, tolerance)
                 return replace(field, error_estimate=error)
-            pilot = pilot.taught(grid, float(cells[2:].max()), float(angles[2]))
+            pilot = pilot.taught(grid, float(cells[2:].max()), float(angles.max()))
     msg = (
         f"a tolerance of {tolerance} was not met, the error is still {worst:.2g}; "
         "ask for a looser one."
@@ -101,8 +101,10 @@ class _Run:
         )
 
     def pilot(self, base: Resolution) -> Pilot:
-        half, whole = (self.solve(base.grid(self.tank, every)) for every in (2, 1))
-        return Pilot.of(base, self.tank, half, whole, light_field=self.light_field)
+        turning = replace(base, n_theta=2 * base.n_theta)
+        grids = base.grid(self.tank, 2), turning.grid(self.tank, 2), base.grid(self.tank)
+        half, turned, whole = (self.solve(grid) for grid in grids)
+        return Pilot.of(base, self.tank, half, turned, whole, light_field=self.light_field)
 
 
 def _refuse(resolution: Resolution, medium: Medium, wanted: Wanted, *, times: float = 1.0) -> None:
