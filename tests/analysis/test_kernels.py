@@ -63,6 +63,10 @@ def test_turning():
         out = np.ones((5, 4, 3))
         kernel(field, out)
         np.testing.assert_array_equal(out, 1.0 + field.transpose(0, 2, 1))
+    for kernel in (sweep.write_turned, sweep.write_turned.py_func):
+        out = np.ones((5, 4, 3))
+        kernel(field, out)
+        np.testing.assert_array_equal(out, field.transpose(0, 2, 1))
 
 
 def test_plane_sweep():
