@@ -27,7 +27,7 @@ ANGLES = 32.0  # for an error of 1e-3
 LEAST_MEETING, MOST_MEETING = 0.95, 1.2  # times the cells wished for that may meet edges better
 WORKING_FIELDS = 3  # light fields that a solution takes beside those returned
 
-# The guess, fitted to what 14 scenes needed for errors of 1e-2 and 1e-3 (docs/accuracy.md).
+# The guess, fitted to what 14 scenes needed for errors of 1e-2 and 1e-3 (decision 8).
 CELL_MEAN_FREE_PATHS = 0.14
 CELL_BEAM_WIDTHS = 0.13
 CELL_TANKS = 0.055  # of the tank's shorter side
