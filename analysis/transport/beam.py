@@ -97,7 +97,7 @@ def beam_integral(
     """
     heights, irradiance = beam.profile_points()
     slant = math.radians(beam.angle_deg)
-    rays = np.array([_describe_ray(one, slant, sigma_t_per_mm) for one in theta_rad.tolist()])
+    rays = _describe_rays(theta_rad, slant, sigma_t_per_mm)
     at_once = max(1, TOGETHER // math.prod(out.shape[1:]))
     for first in range(0, theta_rad.size, at_once):
         some = out[first : first + at_once]
@@ -141,26 +141,25 @@ def _integrate(dimming: Array, tau: Array, bright: Array, dark: Array | None) ->
     bright *= dimming
 
 
-def _describe_ray(
-    theta_rad: float, slant_rad: float, sigma_t_per_mm: float
-) -> tuple[float, float, float, float, float, float]:
-    """Return what the rays of one direction share.
+def _describe_rays(theta_rad: Array, slant_rad: float, sigma_t_per_mm: float) -> Array:
+    """Return what the rays of each direction share, (n, 6).
 
     1/cos and 1/sin of the direction (infinite along an axis); the beam's slope; by how much the
     height of entry falls per mm back along the ray; the beam's extinction per mm of depth, and
     that of ray and beam together per mm back along the ray.
     """
-    cos_t, sin_t = math.cos(theta_rad), math.sin(theta_rad)
+    cos_t, sin_t = np.cos(theta_rad), np.sin(theta_rad)
     cos_0, slope = math.cos(slant_rad), math.tan(slant_rad)
     drift = sin_t - cos_t * slope
-    return (
-        1.0 / cos_t if cos_t else math.inf,
-        1.0 / sin_t if sin_t else math.inf,
-        slope,
-        drift if abs(drift) > 1e-14 else 0.0,
-        sigma_t_per_mm / cos_0,
-        sigma_t_per_mm * (1.0 - cos_t / cos_0),
-    )
+    rays = np.empty((theta_rad.size, 6))
+    rays[:, :2] = np.inf
+    np.divide(1.0, cos_t, out=rays[:, 0], where=cos_t != 0.0)
+    np.divide(1.0, sin_t, out=rays[:, 1], where=sin_t != 0.0)
+    rays[:, 2] = slope
+    rays[:, 3] = np.where(np.abs(drift) > 1e-14, drift, 0.0)
+    rays[:, 4] = sigma_t_per_mm / cos_0
+    rays[:, 5] = sigma_t_per_mm * (1.0 - cos_t / cos_0)
+    return rays
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

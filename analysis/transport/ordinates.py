@@ -21,7 +21,7 @@ from analysis.phase_function import UNRESOLVED, Array, phase_function, scatterin
 from analysis.transport.beam import ballistic_fluence, second_bounce
 from analysis.transport.blas import on_one_thread
 from analysis.transport.choose import relative_error
-from analysis.transport.sweep import add_turned, sweep, turn, write_turned
+from analysis.transport.sweep import sweep
 
 LARGEST = 600.0  # logarithm; leaves room for sums
 DType = type[np.float32] | type[np.float64]
@@ -40,6 +40,8 @@ class Part:
     ----------
     of_x : whether these are the lines of constant x
     index, theta_rad : (n,), the directions' places in the grid and values
+    across, along : (n,), components of the directions across the lines and along them
+    pitch_mm : from line to line, and from node to node on them
     to_moments : (r, n), takes radiance to its moments over direction
     to_source : (n, r), takes the moments of all light to what is scattered into a direction
     radiance : (n, n_x, n_y) if ``of_x``, else (n, n_y, n_x); overwritten by each bounce
@@ -48,6 +50,9 @@ class Part:
     of_x: bool
     index: NDArray[np.int64]
     theta_rad: Array
+    across: Array
+    along: Array
+    pitch_mm: tuple[float, float]
     to_moments: Array
     to_source: Array
     radiance: Array
@@ -66,23 +71,16 @@ class Part:
         moments = self.to_moments @ self._flat()
         return np.asarray(moments).reshape(-1, *self.radiance.shape[1:])
 
-    def scatter(self, moments: Array, weight: float, sigma_t_per_mm: float, grid: Grid) -> Array:
+    def scatter(self, moments: Array, weight: float, sigma_t_per_mm: float) -> Array:
         """Fill in the light scattered by all directions, and return its moments, shaped like it.
 
         What is scattered is ``weight`` times these moments.
         """
         shape = self.radiance.shape[1:]
-        flat = moments
-        if self.of_x:
-            flat = np.empty((moments.shape[0], *shape), dtype=moments.dtype)
-            write_turned(moments, flat)
-        flat = flat.reshape(moments.shape[0], -1)
+        lines = _transposed(moments) if self.of_x else moments
+        flat = np.ascontiguousarray(lines).reshape(moments.shape[0], -1)
         to_source = self.to_source * self.to_source.dtype.type(weight)
         out = np.zeros_like(flat) if self.index.size == 0 else None
-        cos_t, sin_t = np.cos(self.theta_rad), np.sin(self.theta_rad)
-        pitch = (grid.cell_x_mm, grid.cell_y_mm)
-        if not self.of_x:
-            cos_t, sin_t, pitch = sin_t, cos_t, pitch[::-1]
         buffer = np.empty((BLOCK, flat.shape[1]), dtype=flat.dtype)
         for first in range(0, self.index.size, BLOCK):
             some = slice(first, min(first + BLOCK, self.index.size))
@@ -92,9 +90,9 @@ class Part:
             np.maximum(source, 0.0, out=source)
             sweep(
                 source.reshape(-1, *shape),
-                cos_t[some],
-                sin_t[some],
-                pitch,
+                self.across[some],
+                self.along[some],
+                self.pitch_mm,
                 sigma_t_per_mm,
                 self.radiance[some],
             )
@@ -129,9 +127,11 @@ class Radiance:
     fewer: Array | None = None
 
     def light_field(self, weight: float, out: Array) -> None:
-        """Write weight * L_k, its scale still taken out, into out (n_y, n_x, n_theta)."""
+        """Write weight * L_k, its scale still taken out, into out (n_theta, n_y, n_x)."""
         for part in self.parts:
-            turn(part.radiance, weight, part.index, part.of_x, out)
+            lines = _transposed(part.radiance) if part.of_x else part.radiance
+            for n, light in zip(part.index, lines, strict=True):
+                np.multiply(light, weight, out=out[n])
 
 
 def solve_on(
@@ -155,7 +155,8 @@ def solve_on(
         As `march` does, or if an order is too large for a number.
     """
     fluence = np.empty((n_bounces, grid.n_y, grid.n_x))
-    shape = (n_bounces - 1, grid.n_y, grid.n_x, grid.n_theta)
+    # Direction after direction in memory, as they are swept.
+    shape = (n_bounces - 1, grid.n_theta, grid.n_y, grid.n_x)
     field = np.empty(shape, dtype=dtype) if light_field else None
     fluence[0] = ballistic_fluence(
         grid.x_mm, grid.y_mm, sigma_t_per_mm=medium.sigma_t_per_mm, beam=beam
@@ -176,7 +177,7 @@ def solve_on(
         beam=beam,
         grid=grid,
         fluence=fluence,
-        light_field=field,
+        light_field=None if field is None else np.moveaxis(field, 1, -1),
         engine="ordinates",
         error_estimate=error if second_times > 1 else None,
     )
@@ -250,7 +251,7 @@ def march(
         log_scale += math.log(brightest)
         t = medium.sigma_t_per_mm
         with on_one_thread():
-            moments = _together([part.scatter(moments, 1.0 / brightest, t, grid) for part in parts])
+            moments = _together([part.scatter(moments, 1.0 / brightest, t) for part in parts])
 
 
 def second_fluence(medium: Medium, beam: Beam, grid: Grid, theta_rad: Array) -> Array:
@@ -299,8 +300,12 @@ def _weight(medium: Medium, beam: Beam, theta_rad: Array) -> Array:
 def _together(moments: list[Array]) -> Array:
     """Return the sum of the moments of both parts, (r, n_y, n_x)."""
     of_x, of_y = moments
-    add_turned(of_x, of_y)
+    of_y += _transposed(of_x)
     return of_y
+
+
+def _transposed(planes: Array) -> Array:
+    return planes.transpose(0, 2, 1)
 
 
 def _parts(medium: Medium, grid: Grid, dtype: DType) -> tuple[Part, Part]:
@@ -309,15 +314,22 @@ def _parts(medium: Medium, grid: Grid, dtype: DType) -> tuple[Part, Part]:
     basis, weights = scattering_moments(
         medium.g, medium.phase, theta, n_orders=grid.n_theta // 2, negligible=NEGLIGIBLE
     )
-    along_x = np.abs(np.cos(theta)) * grid.cell_y_mm >= np.abs(np.sin(theta)) * grid.cell_x_mm
+    cos_t, sin_t = np.cos(theta), np.sin(theta)
+    along_x = np.abs(cos_t) * grid.cell_y_mm >= np.abs(sin_t) * grid.cell_x_mm
 
     def part(of_x: bool) -> Part:
         index = np.flatnonzero(along_x == of_x)
-        shape = (grid.n_x, grid.n_y) if of_x else (grid.n_y, grid.n_x)
+        shape, pitch = (grid.n_y, grid.n_x), (grid.cell_y_mm, grid.cell_x_mm)
+        across, along = sin_t[index], cos_t[index]
+        if of_x:
+            shape, pitch, across, along = shape[::-1], pitch[::-1], along, across
         return Part(
             of_x=of_x,
             index=index,
             theta_rad=theta[index],
+            across=across,
+            along=along,
+            pitch_mm=pitch,
             to_moments=(basis[:, index] * (2.0 * np.pi / grid.n_theta)).astype(dtype),
             to_source=np.ascontiguousarray((basis[:, index] * weights[:, None]).T, dtype=dtype),
             radiance=np.empty((index.size, *shape), dtype=dtype),

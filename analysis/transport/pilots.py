@@ -1,10 +1,10 @@
 """Pilots: coarse solutions that foretell the cheapest grid for a tolerance, and measure its error.
 
-Errors come from cells and from directions. Two nested grids tell the former, which falls with the
-second power of the cells. Of the latter the second bounce tells on every grid: it is known in
-closed form, and a third of its directions by themselves show what these leave. Later bounces feel a
-share of that, which the coarser grid tells with twice the directions; less than usual is not
-believed of so coarse a grid.
+Errors come from cells and from directions. Two nested grids tell the former, which falls with a
+power of the cells. Of the latter the second bounce tells on every grid: it is known in closed
+form, and a third of its directions by themselves show what these leave. Later bounces feel a share
+of that, as all scenes have it in common, or more, which the finer grid tells with half as many
+directions again. Where bounce 2 needs no more directions than the grid's, no later one is worse.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from analysis.light_field import BounceField, Grid
 from analysis.medium import Tank
 from analysis.phase_function import Array
-from analysis.transport.choose import Resolution, relative_errors
+from analysis.transport.choose import SECOND_RATE, Resolution, relative_errors
 from analysis.transport.sweep import cubic_weights
 
 CELL_RATES = 2.2, -0.4  # power of the cells that errors fall with: at g = 0, and per abs(g)
@@ -28,11 +28,13 @@ MORE_ANGLES = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0)  # directions, likewise
 # a light field is wanted (single directions are less exact than their sum), and from directions.
 FLUENCE_AIM, LIGHT_AIM, ANGLES_AIM = 0.8, 0.7, 0.9
 # Powers of errors of later bounces from directions: they fall with these, by themselves and
-# relative to the second bounce, and grow with cells.
-ANGLE_RATE, SHARE_RATE, ANGLE_GROWTH = 2.3, 0.7, 0.4
-ON_FINER = 0.85  # share that fine grids show of what directions leave, over that of a pilot
-# Likewise of bounce 3 by 32 directions, and the power of the scatterings that it falls with.
+# relative to the second bounce, whose own grow with cells.
+ANGLE_RATE, SHARE_RATE, SECOND_GROWTH = 2.3, 0.7, 0.4
+TURNED_TIMES = 1.5  # directions of a pilot that tells what fewer leave
+# Share of the second bounce's that is usual for bounce 3 and 32 directions, and the power of the
+# scatterings that it falls with.
 USUAL_SHARE, FORGETTING = 0.28, 0.8
+FEW_AIM = 0.5  # of the tolerance, for a second bounce summed over the grid's directions alone
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,8 +46,10 @@ class Pilot:
     base, grid, fluence : the finer of them, and its orders (K, n_y, n_x)
     aim : of the tolerance, for errors from cells
     rate : power of the cells that errors fall with
-    cells, angles : errors of its bounces from the third on that come from cells and directions
-    share : (K,), of what directions leave of bounce 2, that they leave of bounces from the third on
+    cells : error of its bounces from the third on that comes from cells
+    second : by how much more directions than the grid's changed bounce 2, relative to it
+    turned : (K,), errors of its bounces from the third on that come from directions; None where
+        bounce 2 needs no more of them than the grid has
     """
 
     base: Resolution
@@ -54,8 +58,8 @@ class Pilot:
     aim: float
     rate: float
     cells: float
-    angles: float
-    share: Array
+    second: float
+    turned: Array | None
 
     @classmethod
     def of(
@@ -63,30 +67,27 @@ class Pilot:
         base: Resolution,
         tank: Tank,
         half: BounceField,
-        turned: BounceField,
         whole: BounceField,
+        turned: BounceField | None,
         *,
         light_field: bool,
     ) -> Pilot:
-        """Return what a grid tells, and every second node of it, also with twice the directions."""
-        grid = base.grid(tank)
-        left = ON_FINER * relative_errors(half.fluence, turned.fluence) / (1.0 - 2.0**-ANGLE_RATE)
-        share, scatterings = np.zeros(left.size), np.arange(2, left.size)
-        share[2:] = USUAL_SHARE * (2.0 / scatterings) ** FORGETTING
-        share *= (32.0 / grid.n_theta) ** SHARE_RATE
-        if (second := second_change(half)) > 0.0:
-            share[2:] = np.maximum(share[2:], left[2:] / second)
+        """Return what a grid tells, every second node of it, and the grid with more directions."""
         change = relative_errors(half.fluence, whole.fluence[:, ::2, ::2])
         rate = CELL_RATES[0] + CELL_RATES[1] * abs(whole.medium.g)
+        left = None
+        if turned is not None:
+            left = relative_errors(whole.fluence, turned.fluence)
+            left /= 1.0 - TURNED_TIMES**-ANGLE_RATE
         return cls(
             base=base,
-            grid=grid,
+            grid=base.grid(tank),
             fluence=whole.fluence,
             aim=LIGHT_AIM if light_field else FLUENCE_AIM,
             rate=rate,
             cells=float(change[2:].max(initial=0.0)) / (2.0**rate - 1.0),
-            angles=float(share.max()) * second_change(whole),
-            share=share,
+            second=second_change(whole),
+            turned=left,
         )
 
     def needed(self, tolerance: float) -> float:
@@ -96,46 +97,80 @@ class Pilot:
     def cheapest(self, tolerance: float) -> Resolution | None:
         """Return the cheapest grid foretold to meet a tolerance; None if it is far off."""
         times = max(self.needed(tolerance), LEAST_TIMES)
-        grown = self.angles * times**ANGLE_GROWTH
         for more in MORE_ANGLES if times <= MOST_TIMES else ():
-            if grown * more**-ANGLE_RATE <= ANGLES_AIM * tolerance:
-                return self.base.scaled(times, math.ceil(more * self.base.n_theta))
+            answer = self.base.scaled(times, math.ceil(more * self.base.n_theta))
+            if self._foretold_from_directions(times, answer.n_theta) <= ANGLES_AIM * tolerance:
+                return answer
         return None
 
     def foretold(self, tolerance: float) -> Resolution:
         """Return the grid that would meet a tolerance, however fine."""
         times = max(self.needed(tolerance), LEAST_TIMES)
-        grown = self.angles * times**ANGLE_GROWTH / (ANGLES_AIM * tolerance)
-        more = max(grown ** (1.0 / ANGLE_RATE), 1.0)
+        angles = self._foretold_from_directions(times, self.base.n_theta)
+        more = max((angles / (ANGLES_AIM * tolerance)) ** (1.0 / ANGLE_RATE), 1.0)
         return self.base.scaled(times, math.ceil(more * self.base.n_theta))
 
     def finer(self, tolerance: float) -> Resolution:
         """Return the grid of a pilot that can foretell what this one is too coarse for."""
-        more = (self.angles / tolerance) ** (1.0 / ANGLE_RATE) / MORE_ANGLES[-1]
+        angles = self._foretold_from_directions(1.0, self.base.n_theta)
+        more = (angles / tolerance) ** (1.0 / ANGLE_RATE) / MORE_ANGLES[-1]
         return self.base.scaled(
             min(max(self.needed(tolerance) / USUAL_TIMES, 1.0), MOST_TIMES),
             math.ceil(self.base.n_theta * max(2.0 * more, 1.0)),
             unit=2,
         )
 
-    def measured(self, answer: BounceField, grid: Grid) -> tuple[Array, Array]:
-        """Return errors of an answer from cells, (K,), and from directions, (K,)."""
+    def from_cells(self, answer: BounceField, grid: Grid) -> Array:
+        """Return errors of an answer that come from cells, (K,)."""
         change = relative_errors(self.fluence, _on_nodes_of(self.grid, answer))
-        turned = second_change(answer) * (self.grid.n_theta / grid.n_theta) ** SHARE_RATE
-        return change / (self._times(grid) ** self.rate - 1.0), self.share * turned
+        return np.asarray(change / (self.times(grid) ** self.rate - 1.0))
 
-    def taught(self, grid: Grid, cells: float, angles: float) -> Pilot:
+    def from_directions(self, second: float, n_theta: int) -> Array:
+        """Return errors that so many directions leave, (K,), of the first and second bounce none.
+
+        ``second`` is by how much more directions change bounce 2.
+        """
+        errors = np.zeros(self.fluence.shape[0])
+        if self.turned is None:
+            errors[2:] = by_grid_alone(second)
+            return errors
+        share = USUAL_SHARE * (2.0 / np.arange(2, errors.size)) ** FORGETTING
+        share *= (32.0 / n_theta) ** SHARE_RATE
+        left = self.turned[2:] * (n_theta / self.base.n_theta) ** -ANGLE_RATE
+        errors[2:] = np.maximum(share * second, left)
+        return errors
+
+    def second_foretold(self, times: float, n_theta: int) -> float:
+        """Return by how much more directions are foretold to change bounce 2 of another grid."""
+        more = n_theta / self.base.n_theta
+        return float(self.second * times**SECOND_GROWTH * more ** (SHARE_RATE - ANGLE_RATE))
+
+    def taught(self, grid: Grid, cells: float, second: float) -> Pilot:
         """Return this pilot with the errors that an answer had."""
-        times, more = self._times(grid), grid.n_theta / self.grid.n_theta
-        return replace(
-            self,
-            cells=cells * times**self.rate,
-            angles=angles * more**ANGLE_RATE / times**ANGLE_GROWTH,
-        )
+        times = self.times(grid)
+        known = self.second_foretold(times, grid.n_theta)
+        learnt = self.second * second / known if known > 0.0 else second
+        return replace(self, cells=cells * times**self.rate, second=learnt)
 
-    def _times(self, grid: Grid) -> float:
+    def times(self, grid: Grid) -> float:
+        """Return how many times the cells of this pilot a grid has each way."""
         pairs = ((grid.n_x, self.grid.n_x), (grid.n_y, self.grid.n_y))
         return math.sqrt(math.prod((many - 1) / (few - 1) for many, few in pairs))
+
+    def _foretold_from_directions(self, times: float, n_theta: int) -> float:
+        second = self.second_foretold(times, n_theta)
+        return float(self.from_directions(second, n_theta).max(initial=0.0))
+
+
+def few_suffice(whole: BounceField, tolerance: float) -> bool:
+    """Return whether bounce 2 needs no more directions than the grid's, told by a finer pilot."""
+    error = by_grid_alone(second_change(whole)) * USUAL_TIMES**SECOND_GROWTH
+    return bool(error <= FEW_AIM * tolerance)
+
+
+def by_grid_alone(second: float) -> float:
+    """Return the error of a second bounce that three times the directions change by so much."""
+    return float(second / (1.0 - 3.0**-SECOND_RATE))
 
 
 def second_change(field: BounceField) -> float:

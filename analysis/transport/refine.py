@@ -21,7 +21,14 @@ from analysis.transport.choose import (
     relative_error,
 )
 from analysis.transport.ordinates import DType, second_fluence, solve_on
-from analysis.transport.pilots import USUAL_TIMES, Pilot, second_change
+from analysis.transport.pilots import (
+    TURNED_TIMES,
+    USUAL_TIMES,
+    Pilot,
+    by_grid_alone,
+    few_suffice,
+    second_change,
+)
 
 MAX_ATTEMPTS = 10
 MAX_SECOND = 16384
@@ -51,7 +58,7 @@ def solve_ordinates(
     """
     tolerance, worst = wanted.tolerance, math.nan
     dtype = _precision(medium, tank, tolerance)
-    run = _Run(medium, tank, beam, wanted.orders, wanted.light_field, dtype)
+    run = _Run(medium, tank, beam, wanted, dtype)
     with on_one_thread():
         pilot = run.pilot(resolution.scaled(1.0 / USUAL_TIMES, resolution.least_theta, unit=2))
         for _ in range(MAX_ATTEMPTS):
@@ -62,15 +69,19 @@ def solve_ordinates(
                 continue
             _refuse(answer, medium, wanted)
             grid = answer.grid(tank)
-            field = run.solve(grid, light_field=wanted.light_field)
-            cells, angles = pilot.measured(field, grid)
-            error = MARGIN * np.maximum(cells, angles)
+            summed = 1 if pilot.turned is None else SECOND_TIMES
+            field = run.solve(grid, light_field=wanted.light_field, second_times=summed)
+            second = pilot.second_foretold(pilot.times(grid), grid.n_theta)
+            second = second if summed == 1 else second_change(field)
+            cells = pilot.from_cells(field, grid)
+            error = MARGIN * np.maximum(cells, pilot.from_directions(second, grid.n_theta))
             worst = float(error[2:].max(initial=0.0))
             if worst <= tolerance:
                 error[0] = 0.0
-                error[1] = _mend_second(field, grid, tolerance)
+                left = by_grid_alone(second) * summed**-SECOND_RATE
+                error[1] = _mend_second(field, grid, summed * grid.n_theta, left, tolerance)
                 return replace(field, error_estimate=error)
-            pilot = pilot.taught(grid, float(cells[2:].max()), float(angles.max()))
+            pilot = pilot.taught(grid, float(cells[2:].max()), second)
     msg = (
         f"a tolerance of {tolerance} was not met, the error is still {worst:.2g}; "
         "ask for a looser one."
@@ -85,26 +96,30 @@ class _Run:
     medium: Medium
     tank: Tank
     beam: Beam
-    orders: int
-    light_field: bool
+    wanted: Wanted
     dtype: DType
 
-    def solve(self, grid: Grid, *, light_field: bool = False) -> BounceField:
+    def solve(
+        self, grid: Grid, *, light_field: bool = False, second_times: int = SECOND_TIMES
+    ) -> BounceField:
         return solve_on(
             self.medium,
             self.beam,
             grid,
-            n_bounces=self.orders,
+            n_bounces=self.wanted.orders,
             light_field=light_field,
             dtype=self.dtype,
-            second_times=SECOND_TIMES,
+            second_times=second_times,
         )
 
     def pilot(self, base: Resolution) -> Pilot:
-        turning = replace(base, n_theta=2 * base.n_theta)
-        grids = base.grid(self.tank, 2), turning.grid(self.tank, 2), base.grid(self.tank)
-        half, turned, whole = (self.solve(grid) for grid in grids)
-        return Pilot.of(base, self.tank, half, turned, whole, light_field=self.light_field)
+        half, whole = (self.solve(base.grid(self.tank, every)) for every in (2, 1))
+        turned = None
+        if not few_suffice(whole, self.wanted.tolerance):
+            n_theta = round(TURNED_TIMES * base.n_theta)
+            turned = self.solve(replace(base, n_theta=n_theta).grid(self.tank))
+        light_field = self.wanted.light_field
+        return Pilot.of(base, self.tank, half, whole, turned, light_field=light_field)
 
 
 def _refuse(resolution: Resolution, medium: Medium, wanted: Wanted, *, times: float = 1.0) -> None:
@@ -122,26 +137,24 @@ def _precision(medium: Medium, tank: Tank, tolerance: float) -> DType:
     return np.float32 if tame and tolerance >= SINGLE_TOLERANCE else np.float64
 
 
-def _mend_second(field: BounceField, grid: Grid, tolerance: float) -> float:
+def _mend_second(field: BounceField, grid: Grid, n: int, left: float, tolerance: float) -> float:
     """Sum the second order over more directions while that is needed; return its error.
 
-    Each round has three times the directions, a third of which are there: those between the axes
-    stay so, which keeps the jumps at the walls between two of them.
+    So far it is summed over n, which leave an error of ``left``. Each round has three times the
+    directions, a third of which are there: those between the axes stay so, which keeps the jumps
+    at the walls between two of them.
     """
-    n, change = SECOND_TIMES * grid.n_theta, second_change(field)
-    error = MARGIN * change / (3.0**SECOND_RATE - 1.0)
-    while error > tolerance:
+    while MARGIN * left > tolerance:
         if n > MAX_SECOND:
             msg = (
                 f"the second bounce is not found to {tolerance} with {n} directions, the "
-                f"error is still {error:.2g}; ask for a looser tolerance."
+                f"error is still {left:.2g}; ask for a looser tolerance."
             )
             raise AnalysisError(msg)
         theta_rad = equal_angles(3 * n)[np.arange(3 * n) % 3 != 1]
         added = second_fluence(field.medium, field.beam, grid, theta_rad)
         fluence = (field.fluence[1] + 2.0 * field.medium.sigma_s_per_mm * added) / 3.0
-        change = relative_error(field.fluence[1], fluence)
-        error = MARGIN * change / (3.0**SECOND_RATE - 1.0)
+        left = relative_error(field.fluence[1], fluence) / (3.0**SECOND_RATE - 1.0)
         field.fluence[1] = fluence
         n *= 3
-    return float(error)
+    return MARGIN * left

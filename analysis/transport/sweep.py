@@ -16,6 +16,8 @@ from numba import njit
 
 from analysis.phase_function import Array
 
+Weights = tuple[float, float, float, float]
+Reach = tuple[int, Weights, Weights, int, int, Weights, float]
 Ray = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
 
 
@@ -87,17 +89,30 @@ def _march(
 ) -> None:
     """Fill one direction, line after line; rays come from ``shift`` nodes lower a line before."""
     n_lines, n_nodes = source.shape
-    shift = ray[0]
-    inflow = 0 if shift > 0.0 else n_nodes - 1
+    inflow, inwards = (0, 1) if ray[0] > 0.0 else (n_nodes - 1, -1)
+    outflow = n_nodes - 1 - inflow
+    edge = (inflow + inwards, inflow + 2 * inwards, outflow - inwards, outflow)
+    usual = (
+        _reach(edge[0], n_nodes, 2, False, ray),
+        _reach(edge[1], n_nodes, 2, False, ray),
+        _reach(edge[2], n_nodes, 2, False, ray),
+        _reach(edge[3], n_nodes, 2, False, ray),
+    )
     p, step = (0, 1) if forward else (n_lines - 1, -1)
     out[p] = 0.0
     for done in range(1, n_lines):
         p += step
-        if done == n_lines - 1 or _fill_line(source, p, step, ray, out):
+        last = done == n_lines - 1
+        if _fill_line(source, p, step, last, ray, out):
             for q in range(2, n_nodes - 2):
-                out[p, q] = _node(source, out, p, q, step, done, ray)
-        for q in (0, 1, abs(inflow - 2), n_nodes - 2, n_nodes - 1):
-            out[p, q] = 0.0 if q == inflow else _node(source, out, p, q, step, done, ray)
+                reach = _reach(q, n_nodes, done, last, ray)
+                out[p, q] = _node(source, out, p, q, step, reach, ray)
+        out[p, inflow] = 0.0
+        for k in range(4):
+            # Where light leaves, the first line differs too.
+            odd = last or (done == 1 and k == 3)
+            reach = _reach(edge[k], n_nodes, done, last, ray) if odd else usual[k]
+            out[p, edge[k]] = _node(source, out, p, edge[k], step, reach, ray)
 
 
 @njit(cache=True, nogil=True)
@@ -105,6 +120,7 @@ def _fill_line(
     source: Array,
     line: int,
     step: int,
+    last: bool,
     ray: Ray,
     out: Array,
 ) -> bool:
@@ -112,30 +128,50 @@ def _fill_line(
 
     The indices are unsigned: a test for negative ones would keep the loop off the vector unit.
     """
-    shift, left, path, e0, e1, e2 = ray[:6]
+    shift, left = ray[:2]
+    low, high = (np.uint64(0), np.uint64(1)) if shift > 0.0 else (np.uint64(1), np.uint64(0))
+    third, start, away = line + step, high, shift
+    if last:
+        third, start, away = line - 2 * step, low, -2.0 * shift
     one, two, three = np.uint64(1), np.uint64(2), np.uint64(3)
-    before, here, behind = np.uint64(line - step), np.uint64(line), np.uint64(line + step)
-    low, high = (np.uint64(0), one) if shift > 0.0 else (one, np.uint64(0))
+    before, here, beyond = np.uint64(line - step), np.uint64(line), np.uint64(third)
     w0, w1, w2, w3 = cubic_weights(2.0 - float(low) - shift)
-    u0, u1, u2, u3 = cubic_weights(2.0 - float(high) + shift)
+    u0, u1, u2, u3 = cubic_weights(2.0 - float(start) + away)
+    at_node, upstream, leaning = _parabola(-2 if last else 1, ray)
     real = out.dtype.type  # single precision stays so, at twice the speed
     w0, w1, w2, w3 = real(w0), real(w1), real(w2), real(w3)
     u0, u1, u2, u3 = real(u0), real(u1), real(u2), real(u3)
-    left, at_node, zero = real(left), real(path * (e0 - e2)), real(0.0)
-    upstream, downstream = real(0.5 * path * (e1 + e2)), real(0.5 * path * (e2 - e1))
+    left, at_node, zero = real(left), real(at_node), real(0.0)
+    upstream, leaning = real(upstream), real(leaning)
     undershot = False
     for q in range(np.uint64(source.shape[1] - 4)):
-        i, k = q + low, q + high
+        i, k = q + low, q + start
         near = w0 * out[before, i] + w1 * out[before, i + one]
         brought = left * (near + (w2 * out[before, i + two] + w3 * out[before, i + three]))
         near = w0 * source[before, i] + w1 * source[before, i + one]
         past = near + (w2 * source[before, i + two] + w3 * source[before, i + three])
-        near = u0 * source[behind, k] + u1 * source[behind, k + one]
-        future = near + (u2 * source[behind, k + two] + u3 * source[behind, k + three])
-        added = at_node * source[here, q + two] + (upstream * past + downstream * future)
+        near = u0 * source[beyond, k] + u1 * source[beyond, k + one]
+        other = near + (u2 * source[beyond, k + two] + u3 * source[beyond, k + three])
+        added = at_node * source[here, q + two] + (upstream * past + leaning * other)
         undershot |= (brought < zero) | (added < zero)
         out[here, q + two] = brought + added
     return undershot
+
+
+@njit(cache=True, nogil=True)
+def _parabola(lines: int, ray: Ray) -> tuple[float, float, float]:
+    """Return what the source at a node, a line before and so many lines off weighs, mm.
+
+    The third line is the next (1), or at the walls the light leaves by that before the one before
+    (-2); without any (0) the source is linear.
+    """
+    path, e0, e1, e2 = ray[2:6]
+    if lines == 1:
+        return path * (e0 - e2), 0.5 * path * (e1 + e2), 0.5 * path * (e2 - e1)
+    if lines == -2:
+        here = path * (e0 - 1.5 * e1 + 0.5 * e2)
+        return here, path * (2.0 * e1 - e2), 0.5 * path * (e2 - e1)
+    return path * (e0 - e1), path * e1, 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -145,67 +181,95 @@ def _node(
     p: int,
     q: int,
     step: int,
-    done: int,
+    reach: Reach,
     ray: Ray,
 ) -> float:
     """Return the radiance at any node: beside walls, or where the smooth forms undershoot."""
-    shift, left, path, e0, e1, e2 = ray[:6]
-    n_lines, n_nodes = source.shape
-    brought = _brought(out, p - step, q, ray)
-    past, here = interpolate(source, p - step, q - shift), source[p, q]
-    ahead, origin = q + shift, q - 2.0 * shift
-    if done < n_lines - 1 and 0.0 <= ahead <= n_nodes - 1.0:
-        future = interpolate(source, p + step, ahead)
-        added = (e0 - e2) * here + 0.5 * (e1 + e2) * past + 0.5 * (e2 - e1) * future
-    elif done > 1 and 0.0 <= origin <= n_nodes - 1.0:
-        # At the walls the light leaves by, the parabola leans on the ray's past.
-        earlier = interpolate(source, p - 2 * step, origin)
-        added = (
-            (e0 - 1.5 * e1 + 0.5 * e2) * here + (2.0 * e1 - e2) * past + 0.5 * (e2 - e1) * earlier
-        )
-    else:
-        added = (e0 - e1) * here + e1 * past
+    first, before, past, lines, start, other, here = reach
+    line, low = np.uint64(p - step), np.uint64(first)
+    brought = _weighted(out, line, low, before)
+    added = here * source[p, q] + _weighted(source, line, low, past)
+    added += _weighted(source, np.uint64(p + lines * step), np.uint64(start), other)
+    light: float = brought + added
     if brought < 0.0 or added < 0.0:
-        neighbour = q - 1 if shift > 0.0 else q + 1
-        share = abs(shift)
-        brought = share * out[p - step, neighbour] + (1.0 - share) * out[p - step, q]
-        past = share * source[p - step, neighbour] + (1.0 - share) * source[p - step, q]
-        added = (e0 - e1) * here + e1 * past
-    arriving: float = left * brought + path * added
-    return arriving
+        light = _linear(source, out, p, q, step, ray)
+    return light
 
 
 @njit(cache=True, nogil=True)
-def _brought(out: Array, line: int, q: int, ray: Ray) -> float:
-    """Return the radiance of a line where the ray leaves it that arrives at node ``q``."""
-    n_nodes = out.shape[1]
-    shift = ray[0]
-    inflow, inwards = (0, 1) if shift > 0.0 else (n_nodes - 1, -1)
-    away = abs(q - inflow)
-    if away > 2 or shift == 0.0:
-        found: float = interpolate(out, line, q - shift)
-        return found
-    w1, w2, w3 = ray[6:9] if away == 1 else ray[9:12]
-    near: float = w1 * out[line, inflow + inwards] + w2 * out[line, inflow + 2 * inwards]
-    far: float = w3 * out[line, inflow + 3 * inwards]
+def _linear(source: Array, out: Array, p: int, q: int, step: int, ray: Ray) -> float:
+    """Return the radiance at a node by linear forms. Apart, it leaves its caller fast."""
+    shift, left, path, e0, e1 = ray[:5]
+    line, neighbour = p - step, q - 1 if shift > 0.0 else q + 1
+    share = abs(shift)
+    brought: float = share * out[line, neighbour] + (1.0 - share) * out[line, q]
+    past: float = share * source[line, neighbour] + (1.0 - share) * source[line, q]
+    here: float = source[p, q]
+    return left * brought + path * ((e0 - e1) * here + e1 * past)
+
+
+@njit(cache=True, nogil=True)
+def _reach(q: int, n_nodes: int, done: int, last: bool, ray: Ray) -> Reach:
+    """Return what a node's radiance is the sum of, by smooth forms.
+
+    The first of four nodes a line before, what their radiance weighs and what their sources do;
+    how many lines off the third point of the parabola lies, its first node and weights; and the
+    weight of the source at the node itself.
+    """
+    shift, left = ray[:2]
+    first, past = _around(q - shift, n_nodes)
+    before = past
+    away = q if shift > 0.0 else n_nodes - 1 - q
+    if away <= 2 and shift != 0.0:
+        w1, w2, w3 = ray[6:9] if away == 1 else ray[9:12]
+        before = (0.0, w1, w2, w3) if shift > 0.0 else (w3, w2, w1, 0.0)
+    ahead, origin = q + shift, q - 2.0 * shift
+    lines, start, other = 0, first, past
+    if not last and 0.0 <= ahead <= n_nodes - 1.0:
+        lines, (start, other) = 1, _around(ahead, n_nodes)
+    elif done > 1 and 0.0 <= origin <= n_nodes - 1.0:
+        lines, (start, other) = -2, _around(origin, n_nodes)
+    at_node, upstream, leaning = _parabola(lines, ray)
+    return (
+        first,
+        _times(left, before),
+        _times(upstream, past),
+        lines,
+        start,
+        _times(leaning, other),
+        at_node,
+    )
+
+
+@njit(cache=True, nogil=True)
+def _around(position: float, n_nodes: int) -> tuple[int, Weights]:
+    """Return the first of the four nodes around a position, and their cubic weights."""
+    first = min(max(math.floor(position) - 1, 0), n_nodes - 4)
+    return first, cubic_weights(position - first)
+
+
+@njit(cache=True, nogil=True)
+def _times(factor: float, weights: Weights) -> Weights:
+    w0, w1, w2, w3 = weights
+    return factor * w0, factor * w1, factor * w2, factor * w3
+
+
+@njit(cache=True, nogil=True)
+def _weighted(field: Array, line: int, first: int, weights: Weights) -> float:
+    """Return the sum of four nodes of a line. Unsigned indices spare the test for negative ones."""
+    w0, w1, w2, w3 = weights
+    one, two, three = np.uint64(1), np.uint64(2), np.uint64(3)
+    near: float = w0 * field[line, first] + w1 * field[line, first + one]
+    far: float = w2 * field[line, first + two] + w3 * field[line, first + three]
     return near + far
 
 
 @njit(cache=True, nogil=True)
-def cubic_weights(position: float) -> tuple[float, float, float, float]:
+def cubic_weights(position: float) -> Weights:
     """Return the Lagrange weights of nodes 0, 1, 2, 3 for a point at ``position``."""
     a, b, c, d = position, position - 1.0, position - 2.0, position - 3.0
-    return -b * c * d / 6.0, a * c * d / 2.0, -a * b * d / 2.0, a * b * c / 6.0
-
-
-@njit(cache=True, nogil=True)
-def interpolate(field: Array, line: int, position: float) -> float:
-    """Return the cubic through the nodes of a line of ``field`` at a fractional position."""
-    first = min(max(math.floor(position) - 1, 0), field.shape[1] - 4)
-    w0, w1, w2, w3 = cubic_weights(position - first)
-    near: float = w0 * field[line, first] + w1 * field[line, first + 1]
-    far: float = w2 * field[line, first + 2] + w3 * field[line, first + 3]
-    return near + far
+    sixth = 1.0 / 6.0
+    return -b * c * d * sixth, 0.5 * a * c * d, -0.5 * a * b * d, a * b * c * sixth
 
 
 @njit(cache=True, nogil=True)
@@ -224,45 +288,3 @@ def exponential_moments(tau: float) -> tuple[float, float, float]:
     e0 = (1.0 - left) / tau
     e1 = (e0 - left) / tau
     return e0, e1, (2.0 * e1 - left) / tau
-
-
-@njit(cache=True, nogil=True)
-def turn(field: Array, weight: float, index: Array, across: bool, out: Array) -> None:
-    """Write weight * field (n, n_lines, n_nodes) into out[y, x, index[n]].
-
-    ``across`` says that the lines of ``field`` are those of constant x.
-    """
-    n_angles, n_lines, n_nodes = field.shape
-    factor = out.dtype.type(weight)
-    # A few directions at a time: more streams than that outrun the tables of memory pages.
-    for first in range(0, n_angles, 16):
-        last = min(first + 16, n_angles)
-        for p in range(n_lines):
-            for q in range(n_nodes):
-                for n in range(first, last):
-                    if across:
-                        out[q, p, index[n]] = factor * field[n, p, q]
-                    else:
-                        out[p, q, index[n]] = factor * field[n, p, q]
-
-
-@njit(cache=True, nogil=True)
-def add_turned(planes: Array, out: Array) -> None:
-    """Add the transpose of each plane (r, n, m) to ``out`` (r, m, n)."""
-    for r in range(planes.shape[0]):
-        for first in range(0, planes.shape[1], 16):
-            last = min(first + 16, planes.shape[1])
-            for j in range(planes.shape[2]):
-                for i in range(first, last):
-                    out[r, j, i] += planes[r, i, j]
-
-
-@njit(cache=True, nogil=True)
-def write_turned(planes: Array, out: Array) -> None:
-    """Write the transpose of each plane (r, n, m) to ``out`` (r, m, n)."""
-    for r in range(planes.shape[0]):
-        for first in range(0, planes.shape[1], 16):
-            last = min(first + 16, planes.shape[1])
-            for j in range(planes.shape[2]):
-                for i in range(first, last):
-                    out[r, j, i] = planes[r, i, j]

@@ -17,7 +17,7 @@ GRID = Grid(tank=TANK, n_x=6, n_y=5, n_theta=8)
 @pytest.mark.parametrize("theta", [0.3, 1.9, 3.5, 5.9])
 def test_cut_rays(theta):
     """Both orders of lines, and rays that miss."""
-    rays = np.array([beam_kernels._describe_ray(theta, 0.3, 0.7)])
+    rays = beam_kernels._describe_rays(np.array([theta]), 0.3, 0.7)
     results = []
     for kernel in (beam_kernels._cut_rays, beam_kernels._cut_rays.py_func):
         found = np.empty((4, 1, 5, 6))
@@ -47,26 +47,6 @@ def test_sweep(dtype, cos_sign):
     again = np.empty_like(source)
     sweep.sweep.py_func(source, cos_t, sin_t, (1.1, 1.1), 0.5, again)
     np.testing.assert_allclose(whole, again, atol=tolerance)
-
-
-def test_turning():
-    field = np.random.default_rng(1).random((5, 3, 4))
-    for kernel in (sweep.turn, sweep.turn.py_func):
-        out = np.zeros((4, 3, 6))
-        kernel(field, 2.0, np.array([0, 2, 3, 4, 5]), True, out)
-        np.testing.assert_array_equal(out[:, :, 3], 2.0 * field[2].T)
-        out = np.zeros((3, 4, 6))
-        kernel(field, 2.0, np.array([0, 2, 3, 4, 5]), False, out)
-        np.testing.assert_array_equal(out[:, :, 5], 2.0 * field[4])
-        assert (out[:, :, 1] == 0.0).all()
-    for kernel in (sweep.add_turned, sweep.add_turned.py_func):
-        out = np.ones((5, 4, 3))
-        kernel(field, out)
-        np.testing.assert_array_equal(out, 1.0 + field.transpose(0, 2, 1))
-    for kernel in (sweep.write_turned, sweep.write_turned.py_func):
-        out = np.ones((5, 4, 3))
-        kernel(field, out)
-        np.testing.assert_array_equal(out, field.transpose(0, 2, 1))
 
 
 def test_plane_sweep():
