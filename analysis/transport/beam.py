@@ -17,6 +17,7 @@ from analysis.light_field import Grid
 from analysis.medium import Beam, Tank
 from analysis.phase_function import Array
 
+LEAST = 1e-30  # optical depth: the integral over less is that over nothing, to the last digit
 # Optical depths below which a series of five terms is more exact than a difference.
 THIN = {np.float64: 0.02, np.float32: 0.1}
 TOGETHER = 16384  # integrals at a time, which the nearer memory holds
@@ -56,9 +57,7 @@ def second_bounce(
     places = places_of(grid, lines_of_x=lines_of_x)
     if out is None:
         out = np.empty((theta_rad.size, places[0].size, places[1].size))
-    out[:] = 0.0
-    beam_integral(places, theta_rad, beam, grid.tank, sigma_t_per_mm, out)
-    out *= weight[:, None, None].astype(out.dtype)
+    beam_integral(places, theta_rad, weight, beam, grid.tank, sigma_t_per_mm, out)
     return out
 
 
@@ -76,17 +75,18 @@ def places_of(grid: Grid, *, lines_of_x: bool = False) -> tuple[Array, Array, Ar
 def beam_integral(
     places: tuple[Array, Array, Array, Array],
     theta_rad: Array,
+    weight: Array,
     beam: Beam,
     tank: Tank,
     sigma_t_per_mm: float,
     out: Array,
 ) -> None:
-    """Add the integral of exp(-sigma_t s) L_1 backwards along rays to ``out``.
+    """Write weight(theta) times the integral of exp(-sigma_t s) L_1 backwards along rays.
 
     Parameters
     ----------
     places : see `places_of`
-    theta_rad : (n,), the rays' directions
+    theta_rad, weight : (n,), the rays' directions and what each is multiplied by
     out : (n, n_lines, n_nodes), mm; in single precision so is the integral, to some 1e-6 of itself
 
     Notes
@@ -96,49 +96,41 @@ def beam_integral(
     there: the other end may underflow where the beam is grazing.
     """
     heights, irradiance = beam.profile_points()
-    slant = math.radians(beam.angle_deg)
-    rays = _describe_rays(theta_rad, slant, sigma_t_per_mm)
+    rays = _describe_rays(theta_rad, math.radians(beam.angle_deg), sigma_t_per_mm)
+    walls = (tank.depth_mm, tank.width_mm)
     at_once = max(1, TOGETHER // math.prod(out.shape[1:]))
     for first in range(0, theta_rad.size, at_once):
-        some = out[first : first + at_once]
-        dimming, tau, bright, dark = np.empty((4, *some.shape), dtype=out.dtype)
+        some = slice(first, first + at_once)
+        fading, left, bright, dark = np.empty((4, *out[some].shape), dtype=out.dtype)
         for k in range(heights.size - 1):
             strip = (heights[k], heights[k + 1], irradiance[k], irradiance[k + 1])
-            _cut_rays(
-                *places,
-                rays[first : first + at_once],
-                (tank.depth_mm, tank.width_mm),
-                strip,
-                dimming,
-                tau,
-                bright,
-                dark,
-            )
-            _integrate(dimming, tau, bright, dark if strip[2] != strip[3] else None)
-            some += bright
+            _cut_rays(*places, rays[some], weight[some], walls, strip, fading, left, bright, dark)
+            _integrate(fading, left, bright, dark if strip[2] != strip[3] else None)
+            if k == 0:
+                out[some] = bright
+            else:
+                out[some] += bright
 
 
-def _integrate(dimming: Array, tau: Array, bright: Array, dark: Array | None) -> None:
-    """Turn ``bright`` into exp(-dimming) times the integral of exp(-tau t) over 0 .. 1.
+def _integrate(fading: Array, left: Array, bright: Array, dark: Array | None) -> None:
+    """Turn ``bright`` into exp(fading) times the integral of exp(left t) over 0 .. 1.
 
-    With what rises linearly from ``bright`` to ``dark`` as a factor; without ``dark`` it stays.
+    Both exponents are negative. With what rises linearly from ``bright`` to ``dark`` as a factor;
+    without ``dark`` it stays.
     """
-    thin = np.flatnonzero(tau.ravel() < THIN[tau.dtype.type])
-    few = tau.ravel()[thin]
-    np.exp(np.negative(dimming, out=dimming), out=dimming)
-    left = np.exp(-tau)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        e0 = (1.0 - left) / tau
-        # The closed forms lose their digits where tau is small; the series is exact.
-        e0.ravel()[thin] = 1 - few * (1 / 2 - few * (1 / 6 - few * (1 / 24 - few / 120)))
-        if dark is None:
-            bright *= e0
-        else:
-            e1 = (e0 - left) / tau
-            e1.ravel()[thin] = 1 / 2 - few * (1 / 3 - few * (1 / 8 - few * (1 / 30 - few / 144)))
-            bright *= e0 - e1
-            bright += dark * e1
-    bright *= dimming
+    e0 = np.expm1(left)
+    e0 /= left
+    if dark is None:
+        bright *= e0
+    else:
+        e1 = (np.exp(left) - e0) / left
+        # The closed form loses its digits where little is left to fade; the series is exact.
+        thin = np.flatnonzero(left.ravel() > -THIN[left.dtype.type])
+        few = left.ravel()[thin]
+        e1.ravel()[thin] = 1 / 2 + few * (1 / 3 + few * (1 / 8 + few * (1 / 30 + few / 144)))
+        bright *= e0 - e1
+        bright += dark * e1
+    bright *= np.exp(fading, out=fading)
 
 
 def _describe_rays(theta_rad: Array, slant_rad: float, sigma_t_per_mm: float) -> Array:
@@ -169,18 +161,19 @@ def _cut_rays(
     y_line: Array,
     y_node: Array,
     rays: Array,
+    weight: Array,
     tank: tuple[float, float],
     strip: tuple[float, float, float, float],
-    dimming: Array,
-    tau: Array,
+    fading: Array,
+    left: Array,
     bright: Array,
     dark: Array,
 ) -> None:
     """Find the piece of each ray that lies in one strip of the beam, for `beam_integral`.
 
-    Its ends have the optical depths ``dimming`` and dimming + ``tau``; ``bright`` and ``dark``
-    are the irradiance that entered there times the piece's length, zero for a ray that misses
-    (whose tau is one, no special case later on).
+    Its ends have the optical depths -``fading`` and -fading - ``left``; ``bright`` and ``dark``
+    are the irradiance that entered there times the piece's length and the direction's weight, zero
+    for a ray that misses. ``left`` is never quite zero, no special case later on.
     """
     low, high, at_low, at_high = strip
     rise = (at_high - at_low) / (high - low)
@@ -189,8 +182,8 @@ def _cut_rays(
         wall_x = 0.0 if inverse_cos > 0.0 else tank[0]
         wall_y = 0.0 if inverse_sin > 0.0 else tank[1]
         per_entry = 1.0 / drift if drift != 0.0 else 0.0
-        for p in range(dimming.shape[1]):
-            for q in range(dimming.shape[2]):
+        for p in range(fading.shape[1]):
+            for q in range(fading.shape[2]):
                 x, y = x_line[p] + x_node[q], y_line[p] + y_node[q]
                 far_x = (x - wall_x) * inverse_cos if inverse_cos != math.inf else 1e300
                 far_y = (y - wall_y) * inverse_sin if inverse_sin != math.inf else 1e300
@@ -207,11 +200,8 @@ def _cut_rays(
                 end = max(begin, min(far_x, far_y, max(s_low, s_high)))
                 span = end - begin
                 near, deep = (begin, end) if rate >= 0.0 else (end, begin)
-                dimming[n, p, q] = beam_rate * x + rate * near
-                tau[n, p, q] = abs(rate) * span if span > 0.0 else 1.0
-                bright[n, p, q] = (
-                    share * span * max(at_low + rise * (entry - drift * near - low), 0.0)
-                )
-                dark[n, p, q] = (
-                    share * span * max(at_low + rise * (entry - drift * deep - low), 0.0)
-                )
+                fading[n, p, q] = -(beam_rate * x + rate * near)
+                left[n, p, q] = -max(abs(rate) * span, LEAST)
+                share *= weight[n] * span
+                bright[n, p, q] = share * max(at_low + rise * (entry - drift * near - low), 0.0)
+                dark[n, p, q] = share * max(at_low + rise * (entry - drift * deep - low), 0.0)

@@ -22,7 +22,7 @@ USUAL_RATE = 2.0
 MARGIN = 1.1  # stated error over the one extrapolated
 SECOND_RATE = 1.6  # power of the number of directions that the second order's error falls with
 
-MIN_CELLS = 12  # a side
+MIN_CELLS = 18  # a side
 ANGLES = 32.0  # for an error of 1e-3
 LEAST_MEETING, MOST_MEETING = 0.95, 1.2  # times the cells wished for that may meet edges better
 WORKING_FIELDS = 3  # light fields that a solution takes beside those returned
@@ -30,9 +30,10 @@ WORKING_FIELDS = 3  # light fields that a solution takes beside those returned
 # The guess, fitted to what 14 scenes needed for errors of 1e-2 and 1e-3 (decision 8).
 CELL_MEAN_FREE_PATHS = 0.14
 CELL_BEAM_WIDTHS = 0.13
-CELL_TANKS = 0.055  # of the tank's shorter side
+CELL_TANKS = 0.055  # of the tank's side
 THINNEST = 0.15  # of what is usual: thinner beams and layers are left to the measured error
 MOST_PEAKED = 0.1  # likewise of scattering forward
+LEAST_ACROSS = 0.2  # share of that, as a power, which depth feels where the beam runs along it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,18 +96,25 @@ def guess(medium: Medium, tank: Tank, beam: Beam, tolerance: float) -> Resolutio
     width = beam.to_mm - beam.from_mm
     finer = 1e-3 / tolerance
     sigma_t = max(medium.sigma_t_per_mm, 1.0 / max(tank.depth_mm, tank.width_mm))
-    # Light aslant stays in a thinner layer at the face; light scattered forward keeps its edges.
-    layer = max(math.cos(math.radians(beam.angle_deg)) ** 0.75, THINNEST)
+    by_path = CELL_MEAN_FREE_PATHS / sigma_t
+    # Light aslant stays in a thinner layer at the face; light scattered forward keeps the beam's
+    # edges, which run along the depth unless it is aslant.
+    slant = math.radians(beam.angle_deg)
+    layer = max(math.cos(slant) ** 0.75, THINNEST)
     peaked = max((1.0 - medium.g**4) ** 1.3, MOST_PEAKED)
-    by_path = CELL_MEAN_FREE_PATHS * peaked * layer / sigma_t
-    by_width = max(CELL_BEAM_WIDTHS * width, THINNEST * by_path)
-    by_tank = CELL_TANKS * min(tank.depth_mm, tank.width_mm)
-    cell_mm = finer ** (-1.0 / 2.2) / math.hypot(1.0 / by_path, 1.0 / by_width, 1.0 / by_tank)
+    across = min(max(2.0 * math.sin(abs(slant)), LEAST_ACROSS), 1.0)
+    by_width = max(CELL_BEAM_WIDTHS * width, THINNEST * by_path * peaked)
+    coarser = finer ** (-1.0 / 2.2)
+    of_x = by_path * layer * peaked**across, CELL_TANKS * tank.depth_mm
+    of_y = by_path * peaked, by_width, CELL_TANKS * tank.width_mm
+    cell_x_mm, cell_y_mm = (
+        coarser / math.hypot(*(1.0 / one for one in axis)) for axis in (of_x, of_y)
+    )
     least = resolvable(medium.g)
     edges = (beam.from_mm / tank.width_mm, beam.to_mm / tank.width_mm)
     return Resolution(
-        cells_x=max(MIN_CELLS, math.ceil(tank.depth_mm / cell_mm)),
-        cells_y=_meeting(edges, max(MIN_CELLS, tank.width_mm / cell_mm), 1),
+        cells_x=max(MIN_CELLS, math.ceil(tank.depth_mm / cell_x_mm)),
+        cells_y=_meeting(edges, max(MIN_CELLS, tank.width_mm / cell_y_mm), 1),
         n_theta=max(least, _sixteens(ANGLES * finer**0.5)),
         least_theta=least,
         edges=edges,
@@ -123,12 +131,13 @@ def resolvable(g: float) -> int:
 
 def relative_error(found: Array, truth: Array) -> float:
     """Return the rms of ``found - truth`` over that of ``truth``, where that is bright."""
-    bright = truth > BRIGHT * truth.max()
-    if not bright.any():
+    scale = float(truth.max())  # no square of an order leaves the range of numbers
+    bright = truth > BRIGHT * scale
+    light = truth[bright] / scale
+    if light.size == 0:
         return 0.0
-    scale = truth.max()  # no square of an order leaves the range of numbers
-    miss, light = (found - truth)[bright] / scale, truth[bright] / scale
-    return float(np.sqrt(np.sum(miss**2) / np.sum(light**2)))
+    miss = found[bright] / scale - light
+    return math.sqrt(np.vdot(miss, miss) / np.vdot(light, light))
 
 
 def relative_errors(found: Array, truth: Array) -> Array:

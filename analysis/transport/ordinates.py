@@ -27,7 +27,7 @@ LARGEST = 600.0  # logarithm; leaves room for sums
 DType = type[np.float32] | type[np.float64]
 
 BLOCK = 32  # directions whose sources are held at a time
-NEGLIGIBLE = 1e-5  # moments of the phase function below this share of the first scatter nothing
+NEGLIGIBLE = 1e-5  # share of the phase function's first moment
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,11 +143,13 @@ def solve_on(
     light_field: bool = True,
     dtype: DType = np.float64,
     second_times: int = 1,
+    negligible: float = NEGLIGIBLE,
 ) -> BounceField:
     """Return bounces 1 .. n_bounces on a given grid; `transport.solve.solve` chooses one.
 
-    ``second_times`` is that of `march`. If there are several, ``error_estimate`` tells how much
-    they changed bounce 2, relative to it; what is not known is NaN.
+    ``second_times`` and ``negligible`` are those of `march`. If there are several times,
+    ``error_estimate`` tells how much they changed bounce 2, relative to it; what is not known is
+    NaN.
 
     Raises
     ------
@@ -163,7 +165,13 @@ def solve_on(
     )
     error = np.full(n_bounces, np.nan)
     marching = march(
-        medium, beam, grid, n_bounces=n_bounces, dtype=dtype, second_times=second_times
+        medium,
+        beam,
+        grid,
+        n_bounces=n_bounces,
+        dtype=dtype,
+        second_times=second_times,
+        negligible=negligible,
     )
     for k, radiance in enumerate(marching, start=2):
         weight = bounce_weight(medium, k, radiance.log_scale)
@@ -208,6 +216,7 @@ def march(
     n_bounces: int,
     dtype: DType = np.float64,
     second_times: int = 1,
+    negligible: float = NEGLIGIBLE,
 ) -> Iterator[Radiance]:
     """Yield L_k of bounces k = 2 .. n_bounces for a scattering coefficient of one.
 
@@ -217,6 +226,7 @@ def march(
 
     L_2 has kinks over direction that later bounces have no more: its fluence, and what it feeds
     to the third bounce, are summed over ``second_times`` (odd) as many directions as the grid has.
+    Moments of the phase function below a ``negligible`` share of the first scatter nothing.
 
     Raises
     ------
@@ -234,12 +244,12 @@ def march(
             f"(|g|^(n/2) = {unresolved:.2g} > {UNRESOLVED}); use more angles."
         )
         raise AnalysisError(msg)
-    parts, fewer = _parts(medium, grid, dtype), None
+    parts, fewer = _parts(medium, grid, dtype, negligible), None
     with on_one_thread():
         moments = _together([part.light_from(medium, beam, grid) for part in parts])
         if second_times > 1:
             fewer = moments[0].copy()
-            moments += _second_between(medium, beam, grid, second_times, dtype)
+            moments += _second_between(medium, beam, grid, second_times, dtype, negligible)
             moments /= second_times
     log_scale = 0.0
     for k in range(2, n_bounces + 1):
@@ -265,12 +275,14 @@ def second_fluence(medium: Medium, beam: Beam, grid: Grid, theta_rad: Array) -> 
         return np.asarray(_second_moments(medium, beam, grid, theta_rad, one)[0])
 
 
-def _second_between(medium: Medium, beam: Beam, grid: Grid, times: int, dtype: DType) -> Array:
+def _second_between(
+    medium: Medium, beam: Beam, grid: Grid, times: int, dtype: DType, negligible: float
+) -> Array:
     """Return moments of L_2, (r, n_y, n_x), over the directions between those of the grid."""
     n_theta = grid.n_theta
     theta_rad = equal_angles(times * n_theta)[np.arange(times * n_theta) % times != times // 2]
     basis, _ = scattering_moments(
-        medium.g, medium.phase, theta_rad, n_orders=n_theta // 2, negligible=NEGLIGIBLE
+        medium.g, medium.phase, theta_rad, n_orders=n_theta // 2, negligible=negligible
     )
     to_moments: Array = (basis * (2.0 * np.pi / n_theta)).astype(dtype)
     return _second_moments(medium, beam, grid, theta_rad, to_moments)
@@ -308,11 +320,11 @@ def _transposed(planes: Array) -> Array:
     return planes.transpose(0, 2, 1)
 
 
-def _parts(medium: Medium, grid: Grid, dtype: DType) -> tuple[Part, Part]:
+def _parts(medium: Medium, grid: Grid, dtype: DType, negligible: float) -> tuple[Part, Part]:
     """Part the directions of a grid, and the moments that scattering weighs with them."""
     theta = grid.theta_rad
     basis, weights = scattering_moments(
-        medium.g, medium.phase, theta, n_orders=grid.n_theta // 2, negligible=NEGLIGIBLE
+        medium.g, medium.phase, theta, n_orders=grid.n_theta // 2, negligible=negligible
     )
     cos_t, sin_t = np.cos(theta), np.sin(theta)
     along_x = np.abs(cos_t) * grid.cell_y_mm >= np.abs(sin_t) * grid.cell_x_mm

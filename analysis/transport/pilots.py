@@ -24,12 +24,11 @@ CELL_RATES = 2.2, -0.4  # power of the cells that errors fall with: at g = 0, an
 USUAL_TIMES = 2.7
 LEAST_TIMES, MOST_TIMES = 1.4, 6.0  # cells of an answer over those of its pilot, each way
 MORE_ANGLES = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0)  # directions, likewise
-# Of the tolerance, that grids are chosen for: for errors from cells of a fluence, for those where
-# a light field is wanted (single directions are less exact than their sum), and from directions.
-FLUENCE_AIM, LIGHT_AIM, ANGLES_AIM = 0.8, 0.7, 0.9
+CELLS_AIM, ANGLES_AIM = 0.7, 0.88  # of the tolerance, for errors from cells and from directions
+CELLS_MARGIN, ANGLES_MARGIN = 1.25, 1.13  # stated errors over those told
 # Powers of errors of later bounces from directions: they fall with these, by themselves and
 # relative to the second bounce, whose own grow with cells.
-ANGLE_RATE, SHARE_RATE, SECOND_GROWTH = 2.3, 0.7, 0.4
+ANGLE_RATE, SHARE_RATE, SECOND_GROWTH = 2.0, 0.7, 0.4
 TURNED_TIMES = 1.5  # directions of a pilot that tells what fewer leave
 # Share of the second bounce's that is usual for bounce 3 and 32 directions, and the power of the
 # scatterings that it falls with.
@@ -44,7 +43,6 @@ class Pilot:
     Attributes
     ----------
     base, grid, fluence : the finer of them, and its orders (K, n_y, n_x)
-    aim : of the tolerance, for errors from cells
     rate : power of the cells that errors fall with
     cells : error of its bounces from the third on that comes from cells
     second : by how much more directions than the grid's changed bounce 2, relative to it
@@ -55,7 +53,6 @@ class Pilot:
     base: Resolution
     grid: Grid
     fluence: Array
-    aim: float
     rate: float
     cells: float
     second: float
@@ -69,21 +66,23 @@ class Pilot:
         half: BounceField,
         whole: BounceField,
         turned: BounceField | None,
-        *,
-        light_field: bool,
     ) -> Pilot:
-        """Return what a grid tells, every second node of it, and the grid with more directions."""
-        change = relative_errors(half.fluence, whole.fluence[:, ::2, ::2])
+        """Return what a grid tells, every second node of it, and the grid with more directions.
+
+        Those may have fewer orders; what the last of them tells stands for the later ones.
+        """
+        n = half.n_bounces
+        change = relative_errors(half.fluence, whole.fluence[:n, ::2, ::2])
         rate = CELL_RATES[0] + CELL_RATES[1] * abs(whole.medium.g)
         left = None
         if turned is not None:
-            left = relative_errors(whole.fluence, turned.fluence)
-            left /= 1.0 - TURNED_TIMES**-ANGLE_RATE
+            told = relative_errors(whole.fluence[:n], turned.fluence)
+            told /= 1.0 - TURNED_TIMES**-ANGLE_RATE
+            left = np.pad(told, (0, whole.n_bounces - n), mode="edge")
         return cls(
             base=base,
             grid=base.grid(tank),
             fluence=whole.fluence,
-            aim=LIGHT_AIM if light_field else FLUENCE_AIM,
             rate=rate,
             cells=float(change[2:].max(initial=0.0)) / (2.0**rate - 1.0),
             second=second_change(whole),
@@ -92,14 +91,15 @@ class Pilot:
 
     def needed(self, tolerance: float) -> float:
         """Return times the cells that are foretold to be needed."""
-        return float((self.cells / (self.aim * tolerance)) ** (1.0 / self.rate))
+        return float((self.cells / (CELLS_AIM * tolerance)) ** (1.0 / self.rate))
 
     def cheapest(self, tolerance: float) -> Resolution | None:
         """Return the cheapest grid foretold to meet a tolerance; None if it is far off."""
         times = max(self.needed(tolerance), LEAST_TIMES)
         for more in MORE_ANGLES if times <= MOST_TIMES else ():
             answer = self.base.scaled(times, math.ceil(more * self.base.n_theta))
-            if self._foretold_from_directions(times, answer.n_theta) <= ANGLES_AIM * tolerance:
+            cells = self.times(answer.grid(self.grid.tank))
+            if self._foretold_from_directions(cells, answer.n_theta) <= ANGLES_AIM * tolerance:
                 return answer
         return None
 
@@ -143,7 +143,7 @@ class Pilot:
     def second_foretold(self, times: float, n_theta: int) -> float:
         """Return by how much more directions are foretold to change bounce 2 of another grid."""
         more = n_theta / self.base.n_theta
-        return float(self.second * times**SECOND_GROWTH * more ** (SHARE_RATE - ANGLE_RATE))
+        return float(self.second * times**SECOND_GROWTH * more**-SECOND_RATE)
 
     def taught(self, grid: Grid, cells: float, second: float) -> Pilot:
         """Return this pilot with the errors that an answer had."""

@@ -12,7 +12,6 @@ from analysis.light_field import BounceField, Grid, equal_angles
 from analysis.medium import Beam, Medium, Tank
 from analysis.transport.blas import on_one_thread
 from analysis.transport.choose import (
-    MARGIN,
     SECOND_RATE,
     Resolution,
     Wanted,
@@ -22,6 +21,8 @@ from analysis.transport.choose import (
 )
 from analysis.transport.ordinates import DType, second_fluence, solve_on
 from analysis.transport.pilots import (
+    ANGLES_MARGIN,
+    CELLS_MARGIN,
     TURNED_TIMES,
     USUAL_TIMES,
     Pilot,
@@ -31,9 +32,11 @@ from analysis.transport.pilots import (
 )
 
 MAX_ATTEMPTS = 10
+TOLD_ORDERS = 4  # of a pilot's coarser and turned grids; later ones are no worse
 MAX_SECOND = 16384
 DOUBT = 2.0  # times the memory that a far grid foretold may take before it is refused
 SECOND_TIMES = 3  # directions for L_2
+NEGLIGIBLE = 0.1  # of the tolerance: moments of the phase function below scatter nothing
 SINGLE_TOLERANCE = 1e-5  # single precision costs 1e-6 of the brightest
 SINGLE_DEPTHS = (0.01, 60.0)  # optical; it has no numbers for orders and depths below exp(-87)
 
@@ -70,11 +73,14 @@ def solve_ordinates(
             _refuse(answer, medium, wanted)
             grid = answer.grid(tank)
             summed = 1 if pilot.turned is None else SECOND_TIMES
-            field = run.solve(grid, light_field=wanted.light_field, second_times=summed)
+            field = run.solve(
+                grid, wanted.orders, light_field=wanted.light_field, second_times=summed
+            )
             second = pilot.second_foretold(pilot.times(grid), grid.n_theta)
             second = second if summed == 1 else second_change(field)
             cells = pilot.from_cells(field, grid)
-            error = MARGIN * np.maximum(cells, pilot.from_directions(second, grid.n_theta))
+            angles = pilot.from_directions(second, grid.n_theta)
+            error = np.maximum(CELLS_MARGIN * cells, ANGLES_MARGIN * angles)
             worst = float(error[2:].max(initial=0.0))
             if worst <= tolerance:
                 error[0] = 0.0
@@ -100,26 +106,33 @@ class _Run:
     dtype: DType
 
     def solve(
-        self, grid: Grid, *, light_field: bool = False, second_times: int = SECOND_TIMES
+        self,
+        grid: Grid,
+        orders: int,
+        *,
+        light_field: bool = False,
+        second_times: int = SECOND_TIMES,
     ) -> BounceField:
         return solve_on(
             self.medium,
             self.beam,
             grid,
-            n_bounces=self.wanted.orders,
+            n_bounces=orders,
             light_field=light_field,
             dtype=self.dtype,
             second_times=second_times,
+            negligible=NEGLIGIBLE * self.wanted.tolerance,
         )
 
     def pilot(self, base: Resolution) -> Pilot:
-        half, whole = (self.solve(base.grid(self.tank, every)) for every in (2, 1))
-        turned = None
+        orders, told = self.wanted.orders, min(self.wanted.orders, TOLD_ORDERS)
+        whole, turned = self.solve(base.grid(self.tank), orders), None
+        half = self.solve(base.grid(self.tank, 2), told, second_times=1)
         if not few_suffice(whole, self.wanted.tolerance):
             n_theta = round(TURNED_TIMES * base.n_theta)
-            turned = self.solve(replace(base, n_theta=n_theta).grid(self.tank))
-        light_field = self.wanted.light_field
-        return Pilot.of(base, self.tank, half, whole, turned, light_field=light_field)
+            grid = replace(base, n_theta=n_theta).grid(self.tank)
+            turned = self.solve(grid, told)
+        return Pilot.of(base, self.tank, half, whole, turned)
 
 
 def _refuse(resolution: Resolution, medium: Medium, wanted: Wanted, *, times: float = 1.0) -> None:
@@ -144,7 +157,7 @@ def _mend_second(field: BounceField, grid: Grid, n: int, left: float, tolerance:
     directions, a third of which are there: those between the axes stay so, which keeps the jumps
     at the walls between two of them.
     """
-    while MARGIN * left > tolerance:
+    while ANGLES_MARGIN * left > tolerance:
         if n > MAX_SECOND:
             msg = (
                 f"the second bounce is not found to {tolerance} with {n} directions, the "
@@ -157,4 +170,4 @@ def _mend_second(field: BounceField, grid: Grid, n: int, left: float, tolerance:
         left = relative_error(field.fluence[1], fluence) / (3.0**SECOND_RATE - 1.0)
         field.fluence[1] = fluence
         n *= 3
-    return MARGIN * left
+    return ANGLES_MARGIN * left

@@ -52,10 +52,11 @@ def test_any_asymmetry_and_albedo(g, albedo):
 def test_forward_light_is_the_poisson_law(g):
     field = sound(Medium(sigma_t_per_mm=0.2, sigma_s_per_mm=0.2, g=g), TANK, BEAM, orders=5)
     depth = 0.2 * field.grid.x_mm
+    lit = int(np.argmin(np.abs(field.grid.y_mm - 0.5 * (BEAM.from_mm + BEAM.to_mm))))
     for k in range(1, 5):
         exact = np.exp(-depth) * depth**k / math.factorial(k)
         # measured worst 4e-16
-        np.testing.assert_allclose(field.fluence[k, 6], exact, rtol=1e-12)
+        np.testing.assert_allclose(field.fluence[k, lit], exact, rtol=1e-12)
     assert not field.fluence[:, 0].any()
 
 

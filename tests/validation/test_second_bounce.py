@@ -22,7 +22,7 @@ def strip(x: float, theta: float, beam: Beam = FULL, tank: Tank = WIDE, y: float
     """The closed form at one point and direction, sigma_t = 1 / mm."""
     out = np.zeros((1, 1, 1))
     places = (np.array([x]), np.zeros(1), np.array([y]), np.zeros(1))
-    beam_integral(places, np.array([theta]), beam, tank, 1.0, out)
+    beam_integral(places, np.array([theta]), np.ones(1), beam, tank, 1.0, out)
     return float(out.item())
 
 
