@@ -22,7 +22,7 @@ USUAL_RATE = 2.0
 MARGIN = 1.1  # stated error over the one extrapolated
 SECOND_RATE = 1.6  # power of the number of directions that the second order's error falls with
 
-MIN_CELLS = 18  # a side
+MIN_CELLS = 16  # a side
 ANGLES = 32.0  # for an error of 1e-3
 LEAST_MEETING, MOST_MEETING = 0.95, 1.2  # times the cells wished for that may meet edges better
 WORKING_FIELDS = 3  # light fields that a solution takes beside those returned

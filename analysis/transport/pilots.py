@@ -37,6 +37,28 @@ FEW_AIM = 0.5  # of the tolerance, for a second bounce summed over the grid's di
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Measured:
+    """Errors of an answer.
+
+    Attributes
+    ----------
+    cells, angles : (K,), those from cells and from directions, the latter of bounces from the third
+    second : by how much more directions than the grid's change bounce 2, relative to it
+    """
+
+    cells: Array
+    angles: Array
+    second: float
+
+    @property
+    def stated(self) -> Array:
+        """What is stated of bounces from the third on, (K,); of the others zero."""
+        error = np.maximum(CELLS_MARGIN * self.cells, ANGLES_MARGIN * self.angles)
+        error[:2] = 0.0
+        return np.asarray(error)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Pilot:
     """What two nested coarse grids tell.
 
@@ -120,10 +142,17 @@ class Pilot:
             unit=2,
         )
 
-    def from_cells(self, answer: BounceField, grid: Grid) -> Array:
-        """Return errors of an answer that come from cells, (K,)."""
+    def measured(self, answer: BounceField, grid: Grid) -> Measured:
+        """Return what is left of the errors of an answer."""
         change = relative_errors(self.fluence, _on_nodes_of(self.grid, answer))
-        return np.asarray(change / (self.times(grid) ** self.rate - 1.0))
+        second = second_change(answer)
+        if self.turned is None:
+            second = self.second_foretold(self.times(grid), grid.n_theta)
+        return Measured(
+            cells=change / (self.times(grid) ** self.rate - 1.0),
+            angles=self.from_directions(second, grid.n_theta),
+            second=second,
+        )
 
     def from_directions(self, second: float, n_theta: int) -> Array:
         """Return errors that so many directions leave, (K,), of the first and second bounce none.
@@ -145,12 +174,13 @@ class Pilot:
         more = n_theta / self.base.n_theta
         return float(self.second * times**SECOND_GROWTH * more**-SECOND_RATE)
 
-    def taught(self, grid: Grid, cells: float, second: float) -> Pilot:
+    def taught(self, grid: Grid, found: Measured) -> Pilot:
         """Return this pilot with the errors that an answer had."""
         times = self.times(grid)
         known = self.second_foretold(times, grid.n_theta)
-        learnt = self.second * second / known if known > 0.0 else second
-        return replace(self, cells=cells * times**self.rate, second=learnt)
+        second = self.second * found.second / known if known > 0.0 else found.second
+        cells = float(found.cells[2:].max()) * times**self.rate
+        return replace(self, cells=cells, second=second)
 
     def times(self, grid: Grid) -> float:
         """Return how many times the cells of this pilot a grid has each way."""

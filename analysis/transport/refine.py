@@ -22,13 +22,11 @@ from analysis.transport.choose import (
 from analysis.transport.ordinates import DType, second_fluence, solve_on
 from analysis.transport.pilots import (
     ANGLES_MARGIN,
-    CELLS_MARGIN,
     TURNED_TIMES,
     USUAL_TIMES,
     Pilot,
     by_grid_alone,
     few_suffice,
-    second_change,
 )
 
 MAX_ATTEMPTS = 10
@@ -76,18 +74,13 @@ def solve_ordinates(
             field = run.solve(
                 grid, wanted.orders, light_field=wanted.light_field, second_times=summed
             )
-            second = pilot.second_foretold(pilot.times(grid), grid.n_theta)
-            second = second if summed == 1 else second_change(field)
-            cells = pilot.from_cells(field, grid)
-            angles = pilot.from_directions(second, grid.n_theta)
-            error = np.maximum(CELLS_MARGIN * cells, ANGLES_MARGIN * angles)
-            worst = float(error[2:].max(initial=0.0))
-            if worst <= tolerance:
-                error[0] = 0.0
-                left = by_grid_alone(second) * summed**-SECOND_RATE
+            found = pilot.measured(field, grid)
+            error = found.stated
+            if (worst := float(error.max())) <= tolerance:
+                left = by_grid_alone(found.second) * summed**-SECOND_RATE
                 error[1] = _mend_second(field, grid, summed * grid.n_theta, left, tolerance)
                 return replace(field, error_estimate=error)
-            pilot = pilot.taught(grid, float(cells[2:].max()), second)
+            pilot = pilot.taught(grid, found)
     msg = (
         f"a tolerance of {tolerance} was not met, the error is still {worst:.2g}; "
         "ask for a looser one."
