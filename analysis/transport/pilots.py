@@ -15,13 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.light_field import BounceField, Grid
-from analysis.medium import Tank
+from analysis.medium import Medium, Tank
 from analysis.phase_function import Array
 from analysis.transport.choose import SECOND_RATE, Resolution, relative_errors
 from analysis.transport.sweep import cubic_weights
 
 CELL_RATES = 2.2, -0.4  # power of the cells that errors fall with: at g = 0, and per abs(g)
 USUAL_TIMES = 2.7
+GUESS_MARGIN = 1.12  # cells of a first answer over those guessed, each way
 LEAST_TIMES, MOST_TIMES = 1.4, 6.0  # cells of an answer over those of its pilot, each way
 MORE_ANGLES = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0)  # directions, likewise
 CELLS_AIM, ANGLES_AIM = 0.7, 0.88  # of the tolerance, for errors from cells and from directions
@@ -85,18 +86,16 @@ class Pilot:
         cls,
         base: Resolution,
         tank: Tank,
-        half: BounceField,
         whole: BounceField,
+        half: BounceField,
         turned: BounceField | None,
     ) -> Pilot:
         """Return what a grid tells, every second node of it, and the grid with more directions.
 
         Those may have fewer orders; what the last of them tells stands for the later ones.
         """
-        n = half.n_bounces
+        n, rate, left = half.n_bounces, _rate(whole.medium), None
         change = relative_errors(half.fluence, whole.fluence[:n, ::2, ::2])
-        rate = CELL_RATES[0] + CELL_RATES[1] * abs(whole.medium.g)
-        left = None
         if turned is not None:
             told = relative_errors(whole.fluence[:n], turned.fluence)
             told /= 1.0 - TURNED_TIMES**-ANGLE_RATE
@@ -109,6 +108,23 @@ class Pilot:
             cells=float(change[2:].max(initial=0.0)) / (2.0**rate - 1.0),
             second=second_change(whole),
             turned=left,
+        )
+
+    @classmethod
+    def of_guess(
+        cls, base: Resolution, tank: Tank, whole: BounceField, guessed: Resolution, tolerance: float
+    ) -> Pilot:
+        """Return what a grid tells by itself, the number of cells being guessed."""
+        grid, rate = base.grid(tank), _rate(whole.medium)
+        times = GUESS_MARGIN * _times(guessed.grid(tank), grid)
+        return cls(
+            base=base,
+            grid=grid,
+            fluence=whole.fluence,
+            rate=rate,
+            cells=CELLS_AIM * tolerance * times**rate,
+            second=second_change(whole),
+            turned=None,
         )
 
     def needed(self, tolerance: float) -> float:
@@ -184,12 +200,20 @@ class Pilot:
 
     def times(self, grid: Grid) -> float:
         """Return how many times the cells of this pilot a grid has each way."""
-        pairs = ((grid.n_x, self.grid.n_x), (grid.n_y, self.grid.n_y))
-        return math.sqrt(math.prod((many - 1) / (few - 1) for many, few in pairs))
+        return _times(grid, self.grid)
 
     def _foretold_from_directions(self, times: float, n_theta: int) -> float:
         second = self.second_foretold(times, n_theta)
         return float(self.from_directions(second, n_theta).max(initial=0.0))
+
+
+def _rate(medium: Medium) -> float:
+    return CELL_RATES[0] + CELL_RATES[1] * abs(medium.g)
+
+
+def _times(grid: Grid, other: Grid) -> float:
+    pairs = ((grid.n_x, other.n_x), (grid.n_y, other.n_y))
+    return math.sqrt(math.prod((many - 1) / (few - 1) for many, few in pairs))
 
 
 def few_suffice(whole: BounceField, tolerance: float) -> bool:

@@ -61,7 +61,8 @@ def solve_ordinates(
     dtype = _precision(medium, tank, tolerance)
     run = _Run(medium, tank, beam, wanted, dtype)
     with on_one_thread():
-        pilot = run.pilot(resolution.scaled(1.0 / USUAL_TIMES, resolution.least_theta, unit=2))
+        base = resolution.scaled(1.0 / USUAL_TIMES, resolution.least_theta, unit=2)
+        pilot = run.pilot(base, guessed=resolution)
         for _ in range(MAX_ATTEMPTS):
             answer = pilot.cheapest(tolerance)
             if answer is None:
@@ -117,15 +118,22 @@ class _Run:
             negligible=NEGLIGIBLE * self.wanted.tolerance,
         )
 
-    def pilot(self, base: Resolution) -> Pilot:
-        orders, told = self.wanted.orders, min(self.wanted.orders, TOLD_ORDERS)
-        whole, turned = self.solve(base.grid(self.tank), orders), None
+    def pilot(self, base: Resolution, *, guessed: Resolution | None = None) -> Pilot:
+        """Solve on a coarse grid, and on those that tell its errors.
+
+        Where few directions suffice an answer costs hardly more than those: the guess is tried.
+        """
+        tolerance, orders = self.wanted.tolerance, self.wanted.orders
+        told, turned = min(orders, TOLD_ORDERS), None
+        whole = self.solve(base.grid(self.tank), orders)
+        few = few_suffice(whole, tolerance)
+        if few and guessed is not None:
+            return Pilot.of_guess(base, self.tank, whole, guessed, tolerance)
         half = self.solve(base.grid(self.tank, 2), told, second_times=1)
-        if not few_suffice(whole, self.wanted.tolerance):
+        if not few:
             n_theta = round(TURNED_TIMES * base.n_theta)
-            grid = replace(base, n_theta=n_theta).grid(self.tank)
-            turned = self.solve(grid, told)
-        return Pilot.of(base, self.tank, half, whole, turned)
+            turned = self.solve(replace(base, n_theta=n_theta).grid(self.tank), told)
+        return Pilot.of(base, self.tank, whole, half, turned)
 
 
 def _refuse(resolution: Resolution, medium: Medium, wanted: Wanted, *, times: float = 1.0) -> None:
