@@ -101,14 +101,13 @@ def beam_integral(
     at_once = max(1, TOGETHER // math.prod(out.shape[1:]))
     for first in range(0, theta_rad.size, at_once):
         some = slice(first, first + at_once)
-        fading, left, bright, dark = np.empty((4, *out[some].shape), dtype=out.dtype)
+        fading, left, more, dark = np.empty((4, *out[some].shape), dtype=out.dtype)
         for k in range(heights.size - 1):
             strip = (heights[k], heights[k + 1], irradiance[k], irradiance[k + 1])
-            _cut_rays(*places, rays[some], weight[some], walls, strip, fading, left, bright, dark)
-            _integrate(fading, left, bright, dark if strip[2] != strip[3] else None)
-            if k == 0:
-                out[some] = bright
-            else:
+            bright, end = out[some] if k == 0 else more, dark if strip[2] != strip[3] else None
+            _cut_rays(*places, rays[some], weight[some], walls, strip, fading, left, bright, end)
+            _integrate(fading, left, bright, end)
+            if k > 0:
                 out[some] += bright
 
 
@@ -167,7 +166,7 @@ def _cut_rays(
     fading: Array,
     left: Array,
     bright: Array,
-    dark: Array,
+    dark: Array | None,
 ) -> None:
     """Find the piece of each ray that lies in one strip of the beam, for `beam_integral`.
 
@@ -204,4 +203,5 @@ def _cut_rays(
                 left[n, p, q] = -max(abs(rate) * span, LEAST)
                 share *= weight[n] * span
                 bright[n, p, q] = share * max(at_low + rise * (entry - drift * near - low), 0.0)
-                dark[n, p, q] = share * max(at_low + rise * (entry - drift * deep - low), 0.0)
+                if dark is not None:  # known when it is compiled
+                    dark[n, p, q] = share * max(at_low + rise * (entry - drift * deep - low), 0.0)

@@ -4,7 +4,8 @@ Errors come from cells and from directions. Two nested grids tell the former, wh
 power of the cells. Of the latter the second bounce tells on every grid: it is known in closed
 form, and a third of its directions by themselves show what these leave. Later bounces feel a share
 of that, as all scenes have it in common, or more, which the finer grid tells with half as many
-directions again. Where bounce 2 needs no more directions than the grid's, no later one is worse.
+directions again. Where bounce 2 needs no more directions than the grid's, no later one is worse,
+and answers are so cheap that a guess is tried at once.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pilot:
-    """What two nested coarse grids tell.
+    """What coarse grids tell.
 
     Attributes
     ----------
