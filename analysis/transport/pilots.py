@@ -26,8 +26,8 @@ USUAL_TIMES = 2.7
 GUESS_MARGIN = 1.12  # cells of a first answer over those guessed, each way
 LEAST_TIMES, MOST_TIMES = 1.4, 6.0  # cells of an answer over those of its pilot, each way
 MORE_ANGLES = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0)  # directions, likewise
-CELLS_AIM, ANGLES_AIM = 0.7, 0.88  # of the tolerance, for errors from cells and from directions
-CELLS_MARGIN, ANGLES_MARGIN = 1.25, 1.13  # stated errors over those told
+CELLS_AIM, ANGLES_AIM = 0.72, 0.88  # of the tolerance, for errors from cells and from directions
+CELLS_MARGIN, ANGLES_MARGIN = 1.23, 1.13  # stated errors over those told
 # Powers of errors of later bounces from directions: they fall with these, by themselves and
 # relative to the second bounce, whose own grow with cells.
 ANGLE_RATE, SHARE_RATE, SECOND_GROWTH = 2.0, 0.7, 0.4
