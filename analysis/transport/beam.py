@@ -17,7 +17,7 @@ from analysis.light_field import Grid
 from analysis.medium import Beam, Tank
 from analysis.phase_function import Array
 
-LEAST = 1e-30  # optical depth: the integral over less is that over nothing, to the last digit
+LEAST_DEPTH = 1e-30  # optical: the integral over less is that over nothing, to the last digit
 # Optical depths below which a series of five terms is more exact than a difference.
 THIN = {np.float64: 0.02, np.float32: 0.1}
 TOGETHER = 16384  # integrals at a time, which the nearer memory holds
@@ -200,7 +200,7 @@ def _cut_rays(
                 span = end - begin
                 near, deep = (begin, end) if rate >= 0.0 else (end, begin)
                 fading[n, p, q] = -(beam_rate * x + rate * near)
-                left[n, p, q] = -max(abs(rate) * span, LEAST)
+                left[n, p, q] = -max(abs(rate) * span, LEAST_DEPTH)
                 share *= weight[n] * span
                 bright[n, p, q] = share * max(at_low + rise * (entry - drift * near - low), 0.0)
                 if dark is not None:  # known when it is compiled

@@ -30,7 +30,7 @@ from analysis.transport.pilots import (
 )
 
 MAX_ATTEMPTS = 10
-TOLD_ORDERS = 4  # of a pilot's coarser and turned grids; later ones are no worse
+TOLD_ORDERS = 4  # of a pilot's coarser and turned grids; later ones are taken for as bad
 MAX_SECOND = 16384
 DOUBT = 2.0  # times the memory that a far grid foretold may take before it is refused
 SECOND_TIMES = 3  # directions for L_2
